@@ -32,7 +32,7 @@ help:
 	@echo "make firmware-sizes  its bytes of flash and RAM, deepest stack, instructions a sample"
 	@echo "make firmware-figures  these, and what its tests see, slow ones too, into docs/firmware.md"
 	@echo "make test-blender  the add-on in Blender without a window (Blender is 370 MB; Python 3.11 or 3.13)"
-	@echo "make lint    ruff and mypy"
+	@echo "make lint    ruff, mypy and the spelling of code and documents"
 	@echo "make golden-renew  after a change that is meant to change poses: store them anew, say by how much each moved"
 	@echo "make bench   measure, and rewrite the figures in docs/"
 	@echo "make docs    the pages in docs/ as HTML"
@@ -88,10 +88,13 @@ system-tools:
 demo: install
 	@$(BIN)/python -m gateway demo $(DEMO)
 
+SPELT := README.md CONTRIBUTING.md CHANGELOG.md Makefile docs gateway devices firmware_protocol benchmarks config examples docker
+
 lint: install-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/codespell $(SPELT)
 
 # Linted beside the tests, for neither waits for the other; many tests wait: two workers a core keep it busy. Browsers
 # come after the rest: without a graphics card they take every core from modules whose samples come in real time.
