@@ -3,7 +3,7 @@
 ::
 
     make firmware-sizes      # prints
-    make firmware-figures    # runs the tests that show figures, too, and writes docs/firmware.md
+    make firmware-figures    # runs the tests that show figures, too, and writes docs/guide/firmware.md
 
 The machine code for a Cortex-M3 runs in QEMU, where an instruction takes 32 ns of the module's time, whatever
 it is: what is counted are instructions, not cycles.
@@ -29,7 +29,7 @@ from firmware_protocol.commands import Verb
 from firmware_protocol.messages import LogLine
 
 _BUILT = Path(__file__).parents[1] / "build" / "firmware"
-PAGE = Path(__file__).parents[1] / "docs" / "firmware.md"
+PAGE = Path(__file__).parents[1] / "docs" / "guide" / "firmware.md"
 _CROSS = "arm-none-eabi-size"
 PROGRAMS = {
     "module_qemu.elf": _CROSS,

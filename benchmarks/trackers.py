@@ -73,7 +73,7 @@ class Motion:
 
 def run() -> Report:
     """Drift of headings by motion and minute."""
-    report, rows = Report("trackers", also="slimevr.md"), []
+    report, rows = Report("trackers", also="guide/slimevr.md"), []
     for motion in motions():
         own, ours = measure(motion, max(MINUTES))
         for minute in MINUTES:

@@ -1,4 +1,4 @@
-"""Pictures of the live page for docs/viewer.md: ``python -m benchmarks.viewer_pictures [--speed 0.5]``; the
+"""Pictures of the live page for docs/guide/viewer.md: ``python -m benchmarks.viewer_pictures [--speed 0.5]``; the
 moving one of the README alone: ``--film``.
 
 An emulated person walks and one module loses its power; the recording of it is played to a broker, and the

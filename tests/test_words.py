@@ -13,7 +13,7 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ESTIMATOR = ("gateway/reconstruction/inertial/", "docs/explanation/")
+ESTIMATOR = ("gateway/reconstruction/inertial/", "docs/explanation/estimator", "docs/diary/estimator")
 NUMERICS = "gateway/reconstruction/inertial/"
 PROGRAM = ("gateway/", "devices/", "firmware_protocol/", "benchmarks/", "examples/")
 

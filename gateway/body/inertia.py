@@ -103,7 +103,7 @@ def body_inertia(skeleton: Skeleton, body_kg: float, sex: str | None = None) -> 
     if not limbs:
         raise GatewayError(
             f"body '{skeleton.name}' has no segment of a person ({', '.join(MASS_OF_BODY)}): tell what its "
-            "segments weigh with --inertia FILE (docs/analysis.md has one)"
+            "segments weigh with --inertia FILE (docs/guide/analysis.md has one)"
         )
     _add_trunk(found, skeleton, sex)
     return found

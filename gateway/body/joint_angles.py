@@ -1,7 +1,7 @@
 """Joint angles from segment orientations: ISB conventions, instant by instant.
 
 The definitions (segments, order of rotations, positive directions) are data: see ``config/bodies/`` and
-docs/joint_angles.md. Angles are in radians here; outputs give degrees.
+docs/reference/joint_angles.md. Angles are in radians here; outputs give degrees.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ def import_files(
     """Make a recording of other makers' files: Xsens, MVNX, x-IMU3, Movella DOT, OpenSense, any CSV.
 
     The samples become packets of our own modules, so all that works with a recording works with it: replay,
-    re-solving, export, report. docs/imports.md has every format.
+    re-solving, export, report. docs/guide/imports.md has every format.
     """
     from gateway.imports.formats import ReadOptions, detected, read
     from gateway.imports.writing import is_fused, settings_of, write_imported
