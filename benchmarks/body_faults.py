@@ -78,7 +78,7 @@ def _worn_table(report: Report, suit: WornSuit) -> None:
     head = ["case", "doubtful after, s of walking", "others suspected", "joint agreement", "reason given"]
     report.tables.append(
         f"### Modules worn wrong: how soon it is told, in {WALKS} walks of {WORN_S:g} s\n\n"
-        "Why, and what is not seen: [walking](../explanation/walking.md#modules-worn-wrong-stuck-modules).\n\n"
+        "Why, and what is unseen: [walking](../explanation/walking.md#modules-worn-wrong-stuck-modules).\n\n"
         f"{table(head, rows)}"
     )
     for worn in ("upside_down", "swapped", "swapped_shanks"):

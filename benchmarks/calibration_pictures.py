@@ -1,7 +1,7 @@
 """Pictures of the steps of a calibration and of the check: ``python -m benchmarks.calibration_pictures``.
 
-Stick figures of the emulated wearer in every step, from the front and from the right: for docs/guide/calibration.md
-(needs matplotlib) and, as lines, for the page.
+Stick figures of the emulated wearer in every step, from the front and from the right: for
+docs/guide/calibration.md (needs matplotlib) and, as lines, for the page.
 """
 
 from __future__ import annotations

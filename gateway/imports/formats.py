@@ -54,7 +54,7 @@ def _read_csv(paths: Sequence[Path], options: ReadOptions) -> Recording:
 
     if options.columns is None:
         raise GatewayError(
-            "a CSV file of no known maker: name its columns with --columns MAP.yaml (see docs/guide/imports.md)"
+            "a CSV file of no known maker: name its columns with --columns MAP.yaml (docs/guide/imports.md)"
         )
     if len(paths) > 1:
         raise GatewayError("name the files of several modules in the map ('file:'), and import one")

@@ -124,7 +124,7 @@ class _Modules:
         self._fields: dict[int, tuple[int, ros.MagneticFieldEncoder]] = {}
 
     def add(self, module: int, time_ns: int, force: np.ndarray, rate: np.ndarray, field: np.ndarray) -> None:
-        """Write one sample of a module, m/s², rad/s, µT, each (3,). Modules that no segment wears are left out."""
+        """Write a sample, m/s², rad/s, µT, each (3,). Modules that no segment wears are left out."""
         frame = self._frames.get(module)
         if frame is None:
             return
