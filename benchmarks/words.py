@@ -1,8 +1,8 @@
 """``python -m benchmarks.words``: measure how code and documents are written.
 
 ``--write-docs`` puts the figures into docs/figures/words.md; ``--worst N`` prints N places of a kind.
-Only functions are asked to begin with a verb; properties name what they are. A function within another and what
-is overridden need no docstring.
+Only functions are asked to begin with a verb; properties name what they are. A function within another and
+what is overridden need no docstring.
 
 Reading ease is Flesch's: 206.835 − 1.015 words a sentence − 84.6 syllables a word; 60 is plain English, 30 an
 article of science. Tables, code and headings are left out, and a name in code counts as one short word.
@@ -27,10 +27,10 @@ PACKAGES = ("firmware_protocol", "devices", "gateway")
 _NO_VERBS = frozenset(
     re.findall(
         r"\w+",
-        """a about after all also an and any around as at back before beside between both by each earlier every
-        everybody everything first five for four from how if in its last least less most no not nothing of off on
-        one only our over r so some something than that the their there these those three to two under unit until
-        what when where whether which who whoever whole whose why with within without""",
+        """a about after all also an and any around as at back before beside between both by each earlier
+        every everybody everything first five for four from how if in its last least less most no not nothing of
+        off on one only our over r so some something than that the their there these those three to two
+        under unit until what when where whether which who whoever whole whose why with within without""",
     )
 )
 """First words that are no verbs, beside plurals, terms in brackets and verbs in the third person."""

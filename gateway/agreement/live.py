@@ -69,13 +69,14 @@ def _orientation(pose: PoseMessage, segment: str) -> tuple[float, ...] | None:
 
 
 def _array(rows: list[list[tuple[float, ...] | None]], width: int) -> FloatArray:
-    """(T, S, width); null is NaN."""
+    """Return (T, S, width); null is NaN."""
     unknown = (math.nan,) * width
     return np.array([[value or unknown for value in row] for row in rows], dtype=np.float64)
 
 
 def comparison_message(found: Agreement, first_ns: int, second: str, window_s: float) -> ComparisonMessage:
-    """What is published of it. first_ns: instant of the first's newest pose; second: name of that gateway."""
+    """Return what is published of it. first_ns: instant of the first's newest pose; second: name of that
+    gateway."""
     return ComparisonMessage(
         t_ns=first_ns,
         second=second,

@@ -212,7 +212,7 @@ class CalibrationControl:
 
 
 def _steps_message(session: BodySession) -> list[dict[str, Any]]:
-    """Its steps, for whoever begins it or goes on with it."""
+    """Return its steps, for whoever begins it or goes on with it."""
     return [
         {"step": s.name, "kind": s.kind.value, "seconds": s.seconds, "instruction": s.instruction}
         for s in session.steps
@@ -220,7 +220,7 @@ def _steps_message(session: BodySession) -> list[dict[str, Any]]:
 
 
 def _as_modules(suit: WornSuit) -> list[ModuleResult]:
-    """How a rig file says that modules sit."""
+    """Return how a rig file says that modules sit."""
     return [
         ModuleResult(
             suit.module_ids[row],

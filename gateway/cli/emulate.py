@@ -348,7 +348,7 @@ def _encoding(wanted: Emulation) -> Encoding:
 
 
 def _played(wanted: Emulation) -> Iterable[Transmission]:
-    """A real recording. Raises ``GatewayError`` where it cannot be read."""
+    """Return a real recording. Raises ``GatewayError`` where it cannot be read."""
     if wanted.faults is not None:
         raise GatewayError("--faults needs a suit that moves: a recording only plays")
     assert wanted.recording is not None
@@ -356,7 +356,7 @@ def _played(wanted: Emulation) -> Iterable[Transmission]:
 
 
 def _worn(wanted: Emulation) -> Conversation:
-    """A suit on a moving body, with its faults. Raises ``GatewayError``."""
+    """Return a suit on a moving body, with its faults. Raises ``GatewayError``."""
     if wanted.speaks is not None and wanted.speaks not in VOICES:
         raise GatewayError(f"--speaks {wanted.speaks}: unknown{nearest(wanted.speaks, VOICES)}")
     if wanted.imperfections not in PRESETS:
@@ -400,7 +400,7 @@ def _suit_settings(wanted: Emulation, suit: WornSuit) -> SuitSettings:
 
 
 def _motion(wanted: Emulation, suit: WornSuit) -> BodyMotion:
-    """What the wearer does. Raises ``GatewayError`` for modules that cannot be worn as told."""
+    """Return what the wearer does. Raises ``GatewayError`` for modules that cannot be worn as told."""
     body = dress(suit)
     if wanted.strap_on is StrapOn.RANDOM:
         body = strapped_on(body, wanted.seed)
@@ -441,7 +441,7 @@ def _transport(wanted: Emulation) -> Transport:
 
 
 def _transport_of_each(wanted: Emulation, spoken: SpokenSuit) -> LinkPerDevice:
-    """A link a module: ports one after the other, links to pseudo-terminals named for the modules."""
+    """Return a link a module: ports one after the other, links to pseudo-terminals named for the modules."""
     _refuse_medium(wanted, spoken)
     if all(voice.speaks_as_one for voice in spoken.voices.values()):
         return LinkPerDevice(dict.fromkeys(spoken.voices, _transport(wanted)))

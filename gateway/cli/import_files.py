@@ -111,7 +111,7 @@ def import_files(
 
 
 def _suit(recording: Recording, name: str, wanted: Import) -> tuple[WornSuit, list[str]]:
-    """The suit, and what the user should know of it."""
+    """Return the suit, and what the user should know of it."""
     from gateway.body.rig import load_body, load_rig
     from gateway.imports.segment_names import mapped_segments, read_maps
     from gateway.imports.suits import Worn, dressed

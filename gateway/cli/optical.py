@@ -222,7 +222,7 @@ def uneven_sides(lengths_mm: Mapping[str, float]) -> list[tuple[str, str]]:
 
 
 def _worn(found: Fit, name: str) -> str:
-    """Labels of the markers on a segment."""
+    """Return labels of the markers on a segment."""
     segment = found.skeleton.segment_names.index(name)
     on = zip(found.markers.labels, found.markers.segments, strict=True)
     return " ".join(label for label, where in on if where == segment)

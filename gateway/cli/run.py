@@ -57,8 +57,8 @@ def run(
 
 
 def _load(config: Path, awaited: str | None = None) -> Service:
-    """The service that a configuration describes, or what stands in for it while its method ``awaited`` is
-    compiled. Raises ``GatewayError`` with what is wrong in it."""
+    """Return the service that a configuration describes, or what stands in for it while its method
+    ``awaited`` is compiled. Raises ``GatewayError`` with what is wrong in it."""
     from gateway.body.rig import load_rig
     from gateway.service.further_bodies import further_bodies
     from gateway.service.service import Service
@@ -134,7 +134,7 @@ class _Supervisor:
         await self._load_next()
 
     async def _run_once(self) -> bool:
-        """One service to its end; True if another one follows."""
+        """Return one service to its end; True if another one follows."""
         from gateway.doctor.inside import examined
         from gateway.doctor.port_choice import PortChoice
         from gateway.service.service import Service
@@ -210,7 +210,7 @@ class _Supervisor:
             asyncio.get_running_loop().call_later(switch_after_s, self._task.cancel)
 
     async def _prepared(self) -> Service:
-        """The service that the file describes now, ready to run. Raises ``GatewayError``."""
+        """Return the service that the file describes now, ready to run. Raises ``GatewayError``."""
         try:
             service = await asyncio.to_thread(_load, self._config)
             await service.prepare(self._service)

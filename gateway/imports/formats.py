@@ -82,12 +82,13 @@ FORMATS: dict[str, Format] = {
 
 
 def read(paths: Sequence[Path], name: str, options: ReadOptions) -> Recording:
-    """The recording in files of a format. Raises ``FormatError`` and ``GatewayError``."""
+    """Return the recording in files of a format. Raises ``FormatError`` and ``GatewayError``."""
     return FORMATS[name].read(paths, options)
 
 
 def detected(paths: Sequence[Path], options: ReadOptions) -> str:
-    """The name of the format that files have, by what is in the first of them. Raises ``FormatError``."""
+    """Return the name of the format that files have, by what is in the first of them. Raises
+    ``FormatError``."""
     if options.columns is not None:
         return "csv"
     path = paths[0]
@@ -124,7 +125,7 @@ _MARKS = {
 
 
 def _files_in(paths: Sequence[Path]) -> list[Path]:
-    """The files themselves; of a folder, those with numbers in them."""
+    """Return the files themselves; of a folder, those with numbers in them."""
     files = []
     for path in paths:
         within = sorted(each for each in path.glob("*") if each.suffix.lower() in {".txt", ".csv"})

@@ -45,7 +45,7 @@ class Imported:
 
 
 def settings_of(recording: Recording, rig: str, reconstructor: str | None = None) -> GatewaySettings:
-    """A configuration for it: one clock, frames as often as samples.
+    """Return a configuration for it: one clock, frames as often as samples.
 
     reconstructor: None for the modules' own orientations where there are no angular rates to fuse.
     """
@@ -63,14 +63,14 @@ def settings_of(recording: Recording, rig: str, reconstructor: str | None = None
 
 
 def chunks_of(recording: Recording) -> Iterator[Chunk]:
-    """What a link would have given: the packets of one instant together, at that instant."""
+    """Yield what a link would have given: the packets of one instant together, at that instant."""
     begun_ns = recording.begun_utc_ns or _FIRST_NS
     for time_s, sent in groupby(play(recording), key=lambda each: each.time_s):
         yield Chunk(b"".join(each.data for each in sent), begun_ns + round(time_s * 1e9), LINK)
 
 
 def solved(recording: Recording, suit: WornSuit, settings: GatewaySettings) -> SkeletonArrays | None:
-    """Its poses, without writing anything; None when there are none."""
+    """Return its poses, without writing anything; None when there are none."""
     frames = _pipeline(settings, suit).replay(chunks_of(recording))
     return arrays_of(frames, suit.skeleton)
 
@@ -114,7 +114,7 @@ def write_imported(
 
 
 def is_fused(settings: GatewaySettings) -> bool:
-    """Whether the poses rest on the modules' own orientations."""
+    """Return whether the poses rest on the modules' own orientations."""
     return settings.reconstructor in FUSED
 
 

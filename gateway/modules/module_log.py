@@ -62,7 +62,7 @@ class ModuleLog:
             _log.log(level, "module %d: %s%s", received.module, text, more)
 
     def _suppressed(self, module: int, interval: int) -> int | None:
-        """How many lines were left out just before this one; None: this one is left out too."""
+        """Return how many lines were left out just before this one; None: this one is left out too."""
         left_out = 0
         if self._interval.get(module) != interval:
             left_out = max(0, self._lines.get(module, 0) - MOST_LINES)

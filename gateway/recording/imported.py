@@ -32,7 +32,7 @@ def imported_session(
     begun_utc_ns: int = 0,
     solved_by: str = "",
 ) -> dict[str, str]:
-    """The metadata record of ``target``.
+    """Return the metadata record of ``target``.
 
     imported_from: kind of source; begun_utc_ns: 0 where the date is not known; solved_by: a method that the
     configuration does not name.
@@ -95,7 +95,7 @@ def solve_into(
 
 
 def origin_event(kind: str, sources: Iterable[Path], time_ns: int, **more: Any) -> bytes:
-    """The event that tells which files, with their checksums, it all came from. Raises OSError."""
+    """Return the event that tells which files, with their checksums, it all came from. Raises OSError."""
     files = {
         path.name: hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "folder"
         for path in sources

@@ -100,7 +100,7 @@ class Observer:
             self._mqtt.keep(topic, message)
 
     def figures(self) -> GatewayFigures:
-        """All that is measured, now."""
+        """Return all that is measured, now."""
         dropped = self._pipeline.dropped()
         links = [
             LinkFigures(

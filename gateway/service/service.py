@@ -186,7 +186,7 @@ class Service:
         )
 
     def balances(self) -> list[Balance]:
-        """Where every sample, pose and chunk went (see ``gateway.service.accounting``)."""
+        """Return where every sample, pose and chunk went (see ``gateway.service.accounting``)."""
         outputs = {"mqtt": self.mqtt.counters, **self.side.counters}
         return balances_of(self.pipeline, outputs, self.recording.balance, self._link_counts)
 
@@ -195,7 +195,7 @@ class Service:
         return {link.name: link.counts for link in self.links if isinstance(link, ReconnectingLink)}
 
     def statistics(self) -> dict[str, object]:
-        """Counters for the health message."""
+        """Return counters for the health message."""
         accounting = {balance.name: balance.summary() for balance in self.balances()}
         return {
             **{section: told for asker in self._askers for section, told in asker.statistics().items()},
@@ -277,7 +277,7 @@ class Service:
                 await self.requests.stop()
 
     def _other_services(self) -> list[Service]:
-        """The services of further people, fed by the links of this one."""
+        """Return the services of further people, fed by the links of this one."""
         services = []
         for settings, suit in self.others:
             links = [HandedLink(link.name) for link in settings.links]
@@ -312,7 +312,7 @@ class Service:
         return contents_of(link, self._carries.get(link.name, SUIT))
 
     def _takes_commands(self, link: Link) -> bool:
-        """Whether packets of ours may be written to a link."""
+        """Return whether packets of ours may be written to a link."""
         return source_kind(self._carries.get(link.name, SUIT)).takes_commands
 
     async def _ingest(self, link: Link) -> None:
