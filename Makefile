@@ -18,7 +18,7 @@ BUILD_TOOLS_DEV := requirements/source_dev.lock
 FROM_SOURCE := --no-binary vqf,ezc3d --no-build-isolation
 endif
 
-.PHONY: help demo test test-all test-slow test-alone attack test-socketcan firmware test-firmware test-blender firmware-tools firmware-sizes firmware-figures lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
+.PHONY: help demo test test-all test-slow test-alone attack test-socketcan firmware test-firmware test-blender release-check firmware-tools firmware-sizes firmware-figures lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
 
 help:
 	@echo "make demo    emulated suit -> gateway -> embedded broker -> live page, orientations and their error"
@@ -32,6 +32,7 @@ help:
 	@echo "make firmware-sizes  its bytes of flash and RAM, deepest stack, instructions a sample"
 	@echo "make firmware-figures  these, and what its tests see, slow ones too, into docs/guide/firmware.md"
 	@echo "make test-blender  the add-on in Blender without a window (Blender is 370 MB; Python 3.11 or 3.13)"
+	@echo "make release-check  wheel and source distribution, the wheel tried in an environment of its own"
 	@echo "make lint    ruff, mypy and the spelling of code and documents"
 	@echo "make golden-renew  after a change that is meant to change poses: store them anew, say by how much each moved"
 	@echo "make bench   measure, and rewrite the figures in docs/"
@@ -151,6 +152,19 @@ firmware-figures: install-dev system-tools firmware
 	@rm -rf build/firmware_figures && mkdir -p build/firmware_figures
 	FIRMWARE_FIGURES=$(CURDIR)/build/firmware_figures $(BIN)/python -m pytest -n 2 --dist worksteal -m "slow or not slow" tests/firmware
 	@$(BIN)/python -m benchmarks.firmware --figures build/firmware_figures --write-docs
+
+# What is given away: wheel and source distribution, the wheel in an environment of its own, far from this tree.
+# The source distribution has all that the wheel is built from.
+RELEASE := build/release
+release-check: install-dev
+	rm -rf $(RELEASE) && mkdir -p $(RELEASE)/from_source
+	$(BIN)/hatchling build -d $(RELEASE) -t sdist -t wheel
+	tar -xzf $(RELEASE)/*.tar.gz --strip-components 1 -C $(RELEASE)/from_source
+	cd $(RELEASE)/from_source && $(CURDIR)/$(BIN)/hatchling build -d .. -t wheel
+	$(PYTHON) -m venv $(RELEASE)/venv
+	$(RELEASE)/venv/bin/python -m pip install -q $(FROM_SOURCE) --require-hashes -r requirements/runtime.lock
+	$(RELEASE)/venv/bin/python -m pip install -q --no-deps $(RELEASE)/*.whl
+	cd $(RELEASE) && venv/bin/mocap-gateway --version && venv/bin/mocap-gateway body list && venv/bin/mocap-gateway demo --seconds 10 --no-page
 
 # In an environment of its own: Blender wants another NumPy, and is for one version of Python alone.
 test-blender: install-dev

@@ -28,8 +28,8 @@ _NO_VERBS = frozenset(
     re.findall(
         r"\w+",
         """a about after all also an and any around as at back before beside between both by each earlier
-        every everybody everything first five for four from how if in its last least less most no not nothing of
-        off on one only our over r so some something than that the their there these those three to two
+        every everybody everything first five for four from how if in its last least less most no not nothing
+        of off on one only our over r so some something than that the their there these those three to two
         under unit until what when where whether which who whoever whole whose why with within without""",
     )
 )
