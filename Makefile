@@ -18,21 +18,22 @@ BUILD_TOOLS_DEV := requirements/source_dev.lock
 FROM_SOURCE := --no-binary vqf,ezc3d --no-build-isolation
 endif
 
-.PHONY: help demo test test-all test-slow test-alone attack test-socketcan firmware test-firmware test-blender firmware-tools firmware-sizes firmware-figures lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
+.PHONY: help demo test test-all test-slow test-alone attack test-socketcan firmware test-firmware test-blender release-check firmware-tools firmware-sizes firmware-figures lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
 
 help:
 	@echo "make demo    emulated suit -> gateway -> embedded broker -> live page, orientations and their error"
 	@echo "make test    install what the tests need (mosquitto and chromium too, where apt may) and run them"
 	@echo "make test-all  these, then those that are marked slow, each with its reason in its mark (make test-slow: these alone;"
 	@echo "               make test-alone: the one that wants a machine for itself)"
-	@echo "make attack  the attacks that docs/security.md promises to withstand (make test has them too)"
+	@echo "make attack  the attacks that docs/reference/security.md promises to withstand (make test has them too)"
 	@echo "make test-socketcan  SocketCAN on the kernel's virtual buses, in a virtual machine if need be"
 	@echo "make firmware  the reference module (firmware_protocol/reference) for each board that can be built here"
 	@echo "make test-firmware  it as a process and as machine code in QEMU, against the gateway and the protocol's rules"
 	@echo "make firmware-sizes  its bytes of flash and RAM, deepest stack, instructions a sample"
-	@echo "make firmware-figures  these, and what its tests see, slow ones too, into docs/firmware.md"
+	@echo "make firmware-figures  these, and what its tests see, slow ones too, into docs/guide/firmware.md"
 	@echo "make test-blender  the add-on in Blender without a window (Blender is 370 MB; Python 3.11 or 3.13)"
-	@echo "make lint    ruff and mypy"
+	@echo "make release-check  wheel and source distribution, the wheel tried in an environment of its own"
+	@echo "make lint    ruff, mypy and the spelling of code and documents"
 	@echo "make golden-renew  after a change that is meant to change poses: store them anew, say by how much each moved"
 	@echo "make bench   measure, and rewrite the figures in docs/"
 	@echo "make docs    the pages in docs/ as HTML"
@@ -88,10 +89,13 @@ system-tools:
 demo: install
 	@$(BIN)/python -m gateway demo $(DEMO)
 
+SPELT := README.md CONTRIBUTING.md CHANGELOG.md Makefile docs gateway devices firmware_protocol benchmarks config examples docker
+
 lint: install-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/codespell $(SPELT)
 
 # Linted beside the tests, for neither waits for the other; many tests wait: two workers a core keep it busy. Browsers
 # come after the rest: without a graphics card they take every core from modules whose samples come in real time.
@@ -148,6 +152,19 @@ firmware-figures: install-dev system-tools firmware
 	@rm -rf build/firmware_figures && mkdir -p build/firmware_figures
 	FIRMWARE_FIGURES=$(CURDIR)/build/firmware_figures $(BIN)/python -m pytest -n 2 --dist worksteal -m "slow or not slow" tests/firmware
 	@$(BIN)/python -m benchmarks.firmware --figures build/firmware_figures --write-docs
+
+# What is given away: wheel and source distribution, the wheel in an environment of its own, far from this tree.
+# The source distribution has all that the wheel is built from.
+RELEASE := build/release
+release-check: install-dev
+	rm -rf $(RELEASE) && mkdir -p $(RELEASE)/from_source
+	$(BIN)/hatchling build -d $(RELEASE) -t sdist -t wheel
+	tar -xzf $(RELEASE)/*.tar.gz --strip-components 1 -C $(RELEASE)/from_source
+	cd $(RELEASE)/from_source && $(CURDIR)/$(BIN)/hatchling build -d .. -t wheel
+	$(PYTHON) -m venv $(RELEASE)/venv
+	$(RELEASE)/venv/bin/python -m pip install -q $(FROM_SOURCE) --require-hashes -r requirements/runtime.lock
+	$(RELEASE)/venv/bin/python -m pip install -q --no-deps $(RELEASE)/*.whl
+	cd $(RELEASE) && venv/bin/mocap-gateway --version && venv/bin/mocap-gateway body list && venv/bin/mocap-gateway demo --seconds 10 --no-page
 
 # In an environment of its own: Blender wants another NumPy, and is for one version of Python alone.
 test-blender: install-dev

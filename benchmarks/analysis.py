@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.analysis_live import live_beside
-from benchmarks.analysis_moments import MomentRow, agreement, moment_rows, told_table, torque
+from benchmarks.analysis_moments import MomentRow, agreement, given_table, moment_rows, torque
 from benchmarks.analysis_peer import AT_WORK, Peer, opensim_beside
 from benchmarks.analysis_pendulum import double_pendulum_error
 from benchmarks.analysis_stages import stage_ms
@@ -80,7 +80,7 @@ def _add_moments(report: Report, walk: AnalysedTrial) -> None:
         "One step of each foot on a plate; the right heel lands beside its plate. Plug-in-Gait took its own "
         "joint centres and masses from the same markers and plates: agreement, not truth. It writes moments "
         "along the distal segment's axes, we along those of the joint's angles: both are compared.\n\n"
-        + table(*told_table(rows))
+        + table(*given_table(rows))
     )
     report.tables.append(
         "### The same without plates: floor forces estimated from the motion alone\n\n"
@@ -122,7 +122,7 @@ def _add_stair(report: Report, stair: AnalysedTrial) -> None:
         "### Joint moments of a second trial: down a stair of four plates, N m (weight 834 N)\n\n"
         "Only the steps whose plates the file itself took into account. In this file the shanks are twisted "
         "against the thighs by up to 30°, so that it matters much about which axis a moment is told.\n\n"
-        + table(*told_table(moment_rows(stair)))
+        + table(*given_table(moment_rows(stair)))
     )
 
 

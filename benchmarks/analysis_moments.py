@@ -38,7 +38,7 @@ def moment_rows(trial: AnalysedTrial) -> list[MomentRow]:
     """All of both legs."""
     rows = []
     for side in ("left", "right"):
-        frames = _told_frames(trial, side)
+        frames = _given_frames(trial, side)
         for (joint, movement), (label, column) in MOMENTS.items():
             moments = trial.trial.columns((f"{side[0].upper()}{label}Moment",))[frames, 0, column]
             told = -moments / trial.trial.metres_per_unit * 1e-3 * trial.files.body_kg  # N mm/kg, outer load
@@ -50,7 +50,7 @@ def moment_rows(trial: AnalysedTrial) -> list[MomentRow]:
     return rows
 
 
-def told_table(rows: list[MomentRow]) -> tuple[list[str], list[list[str]]]:
+def given_table(rows: list[MomentRow]) -> tuple[list[str], list[list[str]]]:
     """Peaks, errors and correlations about either axis."""
     heads = ["joint", "movement", "file's peak", "peak", "RMSE", "r", "distal axes: peak", "RMSE", "r"]
     cells = [
@@ -74,7 +74,7 @@ def torque(found: Analysis, joint: str, movement: str) -> FloatArray:
     return found.torques[:, j, k]
 
 
-def _told_frames(trial: AnalysedTrial, side: str) -> IntArray:
+def _given_frames(trial: AnalysedTrial, side: str) -> IntArray:
     """Those of a foot on a plate that the file took into account: of some steps it did not."""
     frames = on_plates(trial.measured, side)
     taken = trial.trial.columns((f"{side[0].upper()}GroundReactionForce",))[frames, 0]

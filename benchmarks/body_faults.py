@@ -23,8 +23,8 @@ from gateway.emulation.body_faults import (
     is_finite,
     largest_step_deg,
     outcome,
+    reported_after_s,
     suit_with_position,
-    told_after_s,
 )
 from gateway.frames import Status
 
@@ -61,24 +61,29 @@ def _worn_table(report: Report, suit: WornSuit) -> None:
     for case in cases:
         runs = [emulated(suit, case, seed=seed) for seed in range(1, WALKS + 1)]
         wrong = [suit.skeleton.index(name) for name in case.worn_wrong]
-        told_s = [doubtful_after_s(run, wrong) for run in runs] if wrong else []
+        reported_s = [doubtful_after_s(run, wrong) for run in runs] if wrong else []
         ever = [np.flatnonzero((run.status == Status.DOUBTFUL).any(axis=0)) for run in runs]
         suspected = sum(len(set(segments.tolist()) - set(wrong)) for segments in ever)
         others += suspected
-        slowest_s[case.worn] = max(told_s, default=0.0) if not np.isnan(told_s).any() else np.nan
+        slowest_s[case.worn] = max(reported_s, default=0.0) if not np.isnan(reported_s).any() else np.nan
         agreement = [run.agreement.get(VICTIM_SEGMENT, np.nan) for run in runs]
         why = next((run.doubts[VICTIM] for run in runs if VICTIM in run.doubts), "–")
-        cells = [", ".join(map(_seconds, told_s)) or "–", str(suspected), f"{np.mean(agreement):.2f}", why]
+        cells = [
+            ", ".join(map(_seconds, reported_s)) or "–",
+            str(suspected),
+            f"{np.mean(agreement):.2f}",
+            why,
+        ]
         rows.append([case.name, *cells])
-    head = ["case", "doubtful after, s of walking", "others suspected", "joint agreement", "what is told"]
+    head = ["case", "doubtful after, s of walking", "others suspected", "joint agreement", "reason given"]
     report.tables.append(
         f"### Modules worn wrong: how soon it is told, in {WALKS} walks of {WORN_S:g} s\n\n"
-        "Why, and what is not seen: [walking](walking.md#modules-worn-wrong-stuck-modules).\n\n"
+        "Why, and what is unseen: [walking](../explanation/walking.md#modules-worn-wrong-stuck-modules).\n\n"
         f"{table(head, rows)}"
     )
     for worn in ("upside_down", "swapped", "swapped_shanks"):
         note = f"slowest of {WALKS} walks, from setting off until all that are worn wrong are doubtful"
-        report.figures.append(Figure(f"worn_{worn}_told_s", slowest_s[worn], "s", "<=10", note))
+        report.figures.append(Figure(f"worn_{worn}_reported_s", slowest_s[worn], "s", "<=10", note))
     note = "segments worn as the rig says that were ever doubtful, all walks"
     report.figures.append(Figure("worn_others_suspected", others, "", "<=0", note))
 
@@ -93,7 +98,7 @@ def _module_table(report: Report, suit: WornSuit, calm: Run) -> None:
         own, near, far = (outcome(found, calm, segments) for segments in groups)
         worst_others = max(worst_others, far.worst_deg)
         agreement = _seconds(found.agreement.get(VICTIM_SEGMENT, np.nan))
-        cells = [_seconds(told_after_s(found, victims)), agreement]
+        cells = [_seconds(reported_after_s(found, victims)), agreement]
         for one in (own, near, far):
             cells += [f"{one.worst_deg:.1f}", _seconds(one.recovery_s)]
         rows.append([case.name, *cells])
@@ -126,7 +131,7 @@ def _ml_table(report: Report, suit: WornSuit, calm: Run) -> None:
         step = largest_step_deg(found, end_s, end_s + 5.0)
         worst_step = max(worst_step, step)
         rows.append([
-            case.name, _seconds(told_after_s(found, everyone)), f"{before:.1f}",
+            case.name, _seconds(reported_after_s(found, everyone)), f"{before:.1f}",
             f"{_mean_sigma(found, end_s - 0.3, end_s):.1f}",
             f"{whole.worst_deg:.1f}", _seconds(whole.recovery_s),
             f"{step:.2f}", f"{_place_off(found, end_s - 0.05):.2f}", f"{_place_step(found, end_s):.3f}",

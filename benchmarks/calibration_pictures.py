@@ -1,7 +1,7 @@
 """Pictures of the steps of a calibration and of the check: ``python -m benchmarks.calibration_pictures``.
 
-Stick figures of the emulated wearer in every step, from the front and from the right: for docs/calibration.md
-(needs matplotlib) and, as lines, for the page.
+Stick figures of the emulated wearer in every step, from the front and from the right: for
+docs/guide/calibration.md (needs matplotlib) and, as lines, for the page.
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ def main() -> None:
     for name, turns in _MOVEMENTS.items():
         drawn[name] = [still, _lines(suit.skeleton, *_posed(suit.skeleton, turns))]
     lines = {
-        step: [[_told(each) for each in moment] for moment in moments] for step, moments in drawn.items()
+        step: [[_as_numbers(each) for each in moment] for moment in moments]
+        for step, moments in drawn.items()
     }
     rows = (f"{json.dumps(step)}: {json.dumps(moments)}" for step, moments in lines.items())
     LINES.write_text("{" + ",\n".join(rows) + "}\n", encoding="utf-8")
@@ -69,7 +70,7 @@ Line = tuple[str, FloatArray]
 """Segment, and two points, (2, 3) m."""
 
 
-def _told(line: Line) -> list[str | float]:
+def _as_numbers(line: Line) -> list[str | float]:
     return [line[0].partition("_")[0], *np.round(line[1], 2).ravel().tolist()]
 
 

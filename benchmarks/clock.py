@@ -185,11 +185,13 @@ def by_pings(slot_us: float) -> tuple[Errors, float]:
     return Errors(np.array(errors)), float(np.mean(bounds))
 
 
-def by_maker(stamped_in_us: int | None, counter_bits: int | None = None, *, is_told: bool = False) -> Errors:
+def by_maker(
+    stamped_in_us: int | None, counter_bits: int | None = None, *, sees_losses: bool = False
+) -> Errors:
     """What devices of other makers say of their samples, batched by 1 ms.
 
     stamped_in_us: steps of their stamps; None: they send none. counter_bits: of a count in the place of
-    stamps; None: none either. is_told: whether every loss shows, as where a damaged packet is seen.
+    stamps; None: none either. sees_losses: whether every loss shows, as where a damaged packet is seen.
     """
     modules = traffic(suit(), 1000.0)
     batching, errors, rng = find_slot(modules), [], np.random.default_rng(SEED)
@@ -199,7 +201,7 @@ def by_maker(stamped_in_us: int | None, counter_bits: int | None = None, *, is_t
             times = ArrivalCounter((RATE_HZ,), None if counter_bits is None else RATE_HZ, counter_bits)
             lost = (np.diff(module.counter, prepend=module.counter[0] - 1) - 1).tolist()
             told = [
-                times.stamp(at, None if counter_bits is None else count, n if is_told else 0)
+                times.stamp(at, None if counter_bits is None else count, n if sees_losses else 0)
                 for at, count, n in zip(arrivals, counts, lost, strict=True)
             ]
             stamps = [0 if each is None else each[1] for each in told]
@@ -222,7 +224,7 @@ def makers_clocks() -> tuple[list[Figure], list[list[str]]]:
         "stamped_100us": ("stamps of 100 µs (MTi)", by_maker(100)),
         "stamped_1ms": ("stamps of 1 ms (MVN, mocopi)", by_maker(1000)),
         "counted": ("a count of 8 bits (BNO08x)", by_maker(None, 8)),
-        "neither": ("neither, every loss seen (WitMotion)", by_maker(None, is_told=True)),
+        "neither": ("neither, every loss seen (WitMotion)", by_maker(None, sees_losses=True)),
         "neither_unseen": ("neither, no loss seen (WitMotion)", by_maker(None)),
     }
     figures = [

@@ -64,7 +64,7 @@ class EmulatedBus:
         """The modules are on the bus already."""
 
     def offer(self, data: bytes) -> bool:
-        """Always taken: modules send whether the gateway's controller hears them or not."""
+        """Always taken: modules send whether the gateway's controller receives them or not."""
         for frame in unpack_can_records(data):
             if not self.is_off and self._rng.random() >= self.loss:
                 self._pass_on(frame)
@@ -80,7 +80,7 @@ class EmulatedBus:
             self._socket = None
 
     def report(self, error: BusError) -> None:
-        """An error frame, as a controller's driver makes it; after bus-off the controller hears nothing."""
+        """An error frame, as a controller's driver makes it; after bus-off it receives nothing."""
         self._pass_on(_ERROR_FRAMES[error])
         self.is_off = self.is_off or error is BusError.BUS_OFF
 

@@ -89,7 +89,7 @@ def run() -> Report:
     to_do = [partial(_one, fault) for fault in FAULTS]
     to_do += [partial(_planned, name, faults) for name, faults in SEVERAL.items()]
     to_do.append(partial(_planned, "local measuring device says NaN for 1 s", NOT_FINITE, [WAIST]))
-    outcomes = [_told(fault()) for fault in (*to_do, *BUS_FAULTS, *SURROUNDINGS, *PROCESS_FAULTS)]
+    outcomes = [_outcome_of(fault()) for fault in (*to_do, *BUS_FAULTS, *SURROUNDINGS, *PROCESS_FAULTS)]
     broker, broker_rss = asyncio.run(_cycles(f"broker killed {CYCLES} ×", BROKER_LIMIT_S, _kill_broker))
     cable, cable_rss = asyncio.run(_cycles(f"unplugged {CYCLES} × for 0.3 s", LINK_LIMIT_S, _pull_cable))
     everything = [*outcomes, broker, cable]
@@ -119,7 +119,7 @@ def run() -> Report:
     return report
 
 
-def _told(doing: Coroutine[Any, Any, Outcome]) -> Outcome:
+def _outcome_of(doing: Coroutine[Any, Any, Outcome]) -> Outcome:
     """The outcome, printed too: all of them take minutes."""
     outcome = asyncio.run(doing)
     print(" | ".join(_row(outcome)), flush=True)

@@ -3,7 +3,7 @@
 ::
 
     make firmware-sizes      # prints
-    make firmware-figures    # runs the tests that show figures, too, and writes docs/firmware.md
+    make firmware-figures    # runs the tests that show figures, too, and writes docs/guide/firmware.md
 
 The machine code for a Cortex-M3 runs in QEMU, where an instruction takes 32 ns of the module's time, whatever
 it is: what is counted are instructions, not cycles.
@@ -29,7 +29,7 @@ from firmware_protocol.commands import Verb
 from firmware_protocol.messages import LogLine
 
 _BUILT = Path(__file__).parents[1] / "build" / "firmware"
-PAGE = Path(__file__).parents[1] / "docs" / "firmware.md"
+PAGE = Path(__file__).parents[1] / "docs" / "guide" / "firmware.md"
 _CROSS = "arm-none-eabi-size"
 PROGRAMS = {
     "module_qemu.elf": _CROSS,
@@ -63,7 +63,7 @@ def started(program: Path, memory: FirmwareMemory, port: int) -> subprocess.Pope
     return subprocess.Popen([_EMULATOR, *machine, *serial, "-icount", f"shift={_SHIFT},sleep=off"])
 
 
-async def told_by_module(program: Path, memory: FirmwareMemory) -> dict[str, int]:
+async def reported_by_module(program: Path, memory: FirmwareMemory) -> dict[str, int]:
     """Return the numbers that the module itself logs when it is asked for its info."""
     port = free_port()
     process = started(program, memory, port)
@@ -99,7 +99,7 @@ def run_rows() -> list[str]:
     """Return what was measured while the Cortex-M3 runs: deepest stack, and how long it is awake."""
     with tempfile.TemporaryDirectory() as folder:
         memory = FirmwareMemory.fresh(Path(folder) / "memory", bytes(range(12)), settings={"module_id": 1})
-        told = asyncio.run(told_by_module(PROGRAM, memory))
+        told = asyncio.run(reported_by_module(PROGRAM, memory))
     awake_us = told["awake, us of the last second"]
     per_us = 1000 / 2**_SHIFT
     per_sample = awake_us * per_us / _RATE_HZ

@@ -88,7 +88,7 @@ def _seq(payload: object) -> int:
 
 def run() -> Report:
     """Rates that the machine holds, then what becomes of a fleet whose nodes fail."""
-    report = Report("fleet", also="fleet.md")
+    report = Report("fleet", also="guide/fleet.md")
     rate_hz, load = _held_rate(report)
     _failures(report, rate_hz)
     _arithmetic(report, load)

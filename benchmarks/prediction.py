@@ -91,7 +91,7 @@ def run() -> Report:
         "below twice what sigma grew by). Live poses by `joint`. Written by `python -m benchmarks prediction "
         "--write-docs`.\n\n"
     )
-    return Report("prediction", figures, [text + table(heads, rows)], also="outputs.md")
+    return Report("prediction", figures, [text + table(heads, rows)], also="guide/outputs.md")
 
 
 def errors_of(motion: Motion, ahead_s: float) -> Errors:

@@ -17,7 +17,7 @@ MOTIONS = ("walking", "chain")
 
 def run() -> Report:
     """Starts of the quicker motions."""
-    report, rows = Report("tracker_starts", also="slimevr.md"), []
+    report, rows = Report("tracker_starts", also="guide/slimevr.md"), []
     for motion in trackers.motions():
         key = motion.name.split(" ")[0]
         if key not in MOTIONS:

@@ -79,7 +79,7 @@ class Motion:
 
 def run() -> Report:
     """Drift of headings by motion and minute."""
-    report, rows, believed = Report("trackers", also="slimevr.md"), [], []
+    report, rows, believed = Report("trackers", also="guide/slimevr.md"), [], []
     for motion in motions():
         found = measure(motion, max(MINUTES))
         for minute in MINUTES:

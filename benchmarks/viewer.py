@@ -106,7 +106,7 @@ def _table(seen: list[Seen]) -> str:
         ]
         for each in seen
     ]
-    return "### The page, rendered by the processor alone\n\n" + table(heads, rows)
+    return "## The page, rendered by the processor alone\n\n" + table(heads, rows)
 
 
 async def _all(broker_port: int) -> list[Seen]:

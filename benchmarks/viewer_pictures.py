@@ -1,5 +1,6 @@
-"""Pictures of the live page for docs/viewer.md: ``python -m benchmarks.viewer_pictures [--speed 0.5]``; the
-moving one of the README alone: ``--film``.
+"""Pictures of the live page for docs/guide/viewer.md: ``python -m benchmarks.viewer_pictures [--speed 0.5]``.
+
+The moving one of the README alone: ``--film``.
 
 An emulated person walks and one module loses its power; the recording of it is played to a broker, and the
 page is looked at in Chromium, all by the commands that a user types. A busy machine needs a lower speed.

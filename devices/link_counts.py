@@ -105,14 +105,14 @@ class SerialErrors:
         self._damaged = SystemCount(counts, LostBefore.SERIAL_DAMAGED)
         self._descriptor = descriptor
         found = self._read()
-        self.are_told = found is not None
+        self.are_reported = found is not None
         if found is not None:
             self._overruns.begin_at(found[0])
             self._damaged.begin_at(found[1])
 
     def look(self) -> None:
         """Add what has been lost since the last look."""
-        found = self._read() if self.are_told else None
+        found = self._read() if self.are_reported else None
         if found is not None:
             self._overruns.now(found[0])
             self._damaged.now(found[1])
@@ -138,7 +138,7 @@ def ask_for_drops(bound: socket.socket) -> None:
     bound.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
 
 
-def told_drops(ancillary: list[tuple[int, int, bytes]] | Any) -> int | None:
+def reported_drops(ancillary: list[tuple[int, int, bytes]] | Any) -> int | None:
     """The count that came with something received; None when none did."""
     for _, kind, content in ancillary:
         if kind == _SO_RXQ_OVFL:

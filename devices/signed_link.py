@@ -74,7 +74,7 @@ class SignedLink:
         self.name = link.name
         self.framing = link.framing
         self._frames = SignedFrames(key, count=time_count())
-        self._told: set[Defect] = set()
+        self._reported: set[Defect] = set()
         self.counts.unverified = self._frames.dropped
 
     @property
@@ -121,6 +121,6 @@ class SignedLink:
 
     def _tell(self, sender: str) -> None:
         """Warn once of each reason; who has no count yet is no reason to worry."""
-        for defect in self._frames.dropped.keys() - self._told - {Defect.OUTDATED}:
-            self._told.add(defect)
+        for defect in self._frames.dropped.keys() - self._reported - {Defect.OUTDATED}:
+            self._reported.add(defect)
             _log.warning("%s: dropped, from %s: %s", self.name, sender or "the other end", defect.value)

@@ -25,7 +25,7 @@ from devices.link_counts import (
     LostBefore,
     SystemCount,
     ask_for_drops,
-    told_drops,
+    reported_drops,
 )
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
 
@@ -110,7 +110,7 @@ class SocketCanLink:
                 frames.append(frame)
                 if frame.is_error:
                     lost = self._note_error(frame)
-                if (dropped := told_drops(ancillary)) is not None:
+                if (dropped := reported_drops(ancillary)) is not None:
                     self._kernel_drops.now(dropped)
             self.counts.end_turn(begun_ns, bus)
         except BlockingIOError:

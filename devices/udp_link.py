@@ -17,7 +17,7 @@ from devices.link_counts import (
     LostBefore,
     SystemCount,
     ask_for_drops,
-    told_drops,
+    reported_drops,
 )
 from devices.listening import Address, Network, Peers, listen_error, name_of
 
@@ -119,7 +119,7 @@ class UdpLink:
             except OSError as error:
                 self._release(LinkError(f"UDP socket was lost: {error}"))
                 return
-            if (dropped := told_drops(ancillary)) is not None:
+            if (dropped := reported_drops(ancillary)) is not None:
                 self._drops.now(dropped)
             if self.peers.admits(sender[0]):
                 self._arrivals.put(data, gateway_time_ns(), name_of(sender))

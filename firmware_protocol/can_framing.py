@@ -92,7 +92,7 @@ MAX_CLASSIC_BODY_SIZE = MAX_PIECES * CLASSIC_DATA_SIZE - OVERHEAD
 
 
 def fragment(frame: WireFrame, fd: bool = False) -> list[CanFrame]:
-    """The CAN frames that carry a wire frame, in the order to be sent.
+    """Return the CAN frames that carry a wire frame, in the order to be sent.
 
     Raises ValueError when the body exceeds 255 bytes (classic: 245, the most that 32 pieces hold) or
     a number does not fit its field.
@@ -116,7 +116,7 @@ def fragment(frame: WireFrame, fd: bool = False) -> list[CanFrame]:
 def identifier(
     kind: int, module: int, index: int = 0, is_last: bool = False, version: int = PROTOCOL_VERSION
 ) -> int:
-    """The identifier of one piece. Raises ValueError, naming it, for a number that does not fit."""
+    """Return the identifier of one piece. Raises ValueError, naming it, for a number that does not fit."""
     parts = {
         "priority": CAN_PRIORITY.get(kind, LOWEST_CAN_PRIORITY),
         "kind": kind,
@@ -158,11 +158,11 @@ class CanFrameDecoder:
         self._partial: dict[int, list[bytes] | None] = {}
 
     def feed(self, chunk: bytes) -> list[WireFrame]:
-        """The wire frames that this chunk completes, in order."""
+        """Return the wire frames that this chunk completes, in order."""
         return [WireFrame(*entry) for entry in self.entries(chunk)]
 
     def entries(self, chunk: bytes) -> list[Entry]:
-        """The same as plain tuples."""
+        """Return the same as plain tuples."""
         records, is_broken = split_records(chunk)
         entries: list[Entry] = []
         for flagged_identifier, fd_flags, data in records:
@@ -195,7 +195,7 @@ class CanFrameDecoder:
             entries.append(entry)
 
     def _pieces_before(self, stream: int, index: int) -> list[bytes] | None:
-        """The pieces of a wire frame that begins, or None when this one does not follow the last."""
+        """Return the pieces of a wire frame that begins, or None when this one does not follow the last."""
         if index == 0:
             self._forget(stream)
             return self._begin(stream, [])
@@ -211,13 +211,13 @@ class CanFrameDecoder:
         return pieces
 
     def _forget(self, stream: int) -> None:
-        """Gives up an unfinished wire frame, which counts unless it has been counted as spoilt."""
+        """Give up an unfinished wire frame, which counts unless it has been counted as spoilt."""
         if self._partial.pop(stream, None) is not None:
             self.dropped[Defect.LOST_FRAGMENT] += 1
 
 
 def _reassemble(stream: int, payload: bytes, is_fd: bool) -> Entry | Defect:
-    """The wire frame of one (kind, module) ``stream`` from its joined pieces."""
+    """Return the wire frame of one (kind, module) ``stream`` from its joined pieces."""
     if len(payload) < OVERHEAD:
         return Defect.TOO_SHORT
     end = OVERHEAD + payload[LENGTH_OFFSET]

@@ -55,12 +55,12 @@ def pack_can_records(frames: Iterable[CanFrame]) -> bytes:
 
 
 def unpack_can_records(data: bytes) -> list[CanFrame]:
-    """The CAN frames of a link's chunk. Never raises: a broken tail is dropped."""
+    """Return the CAN frames of a link's chunk. Never raises: a broken tail is dropped."""
     return [_unpack(*record) for record in split_records(data)[0]]
 
 
 def split_records(data: bytes) -> tuple[list[Record], bool]:
-    """The whole records of a chunk, and whether a broken one followed them. Never raises."""
+    """Return the whole records of a chunk, and whether a broken one followed them. Never raises."""
     records: list[Record] = []
     stop = 0
     while stop + _RECORD.size <= len(data):

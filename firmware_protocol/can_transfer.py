@@ -113,13 +113,13 @@ class Outcome(Enum):
 
 
 def flow_control_piece(make: type[TransferPiece], transfer: int, flow: FlowControl) -> TransferPiece:
-    """A piece that carries flow control."""
+    """Return a piece that carries flow control."""
     data = _FLOW_CONTROL.encode(int(flow.status), flow.block_size, flow.separation)
     return make(PieceType.FLOW_CONTROL, transfer, flow.wanted, data)
 
 
 def flow_control_of(piece: TransferPiece) -> FlowControl | None:
-    """The flow control that a piece carries; None when it carries none. Never raises."""
+    """Return the flow control that a piece carries; None when it carries none. Never raises."""
     if piece.piece != PieceType.FLOW_CONTROL:
         return None
     values = _FLOW_CONTROL.decode(piece.data)
@@ -161,7 +161,7 @@ class TransferSender:
         return self._time_ns if self.outcome is Outcome.SENDING else None
 
     def due(self, now_ns: int) -> list[TransferPiece]:
-        """The pieces to be sent by now."""
+        """Return the pieces to be sent by now."""
         pieces: list[TransferPiece] = []
         while self.outcome is Outcome.SENDING and now_ns >= self._time_ns:
             if self._next == self._limit and not self._retry():
@@ -173,7 +173,7 @@ class TransferSender:
         return pieces
 
     def receive(self, piece: TransferPiece, now_ns: int) -> None:
-        """Takes the receiver's flow control; what is no part of this transfer is ignored."""
+        """Take the receiver's flow control; what is no part of this transfer is ignored."""
         flow = flow_control_of(piece)
         if flow is None or piece.transfer != self._transfer or self.outcome is not Outcome.SENDING:
             return
@@ -212,7 +212,7 @@ class TransferSender:
             self.outcome = Outcome.TIMED_OUT
 
     def _retry(self) -> bool:
-        """Goes back to the piece sent last, which makes the receiver say what it wants."""
+        """Go back to the piece sent last, which makes the receiver say what it wants."""
         self._retries += 1
         if self._retries > self._params.max_retries:
             self.outcome = Outcome.TIMED_OUT

@@ -62,7 +62,7 @@ class TransferReceiver:
         return min(times, default=None)
 
     def receive(self, module: int, piece: TransferPiece, now_ns: int) -> WireFrame | None:
-        """The wire frame that a piece under this module's header completes, if it completes one."""
+        """Return the wire frame that a piece under this module's header completes, if it completes one."""
         if piece.piece == PieceType.FIRST:
             return self._begin(module, piece, now_ns)
         reception = self._receptions.get(module)
@@ -139,7 +139,7 @@ class TransferReceiver:
         return WireFrame(*entry)
 
     def _flow(self, module: int, reception: _Reception, now_ns: int) -> None:
-        """Tells a sender at the end of a block how to go on."""
+        """Tell a sender at the end of a block how to go on."""
         wanted = len(reception.data)
         if reception.is_done:
             self._answer(module, reception.first.transfer, FlowControl(wanted, FlowStatus.DONE))

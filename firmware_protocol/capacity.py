@@ -48,7 +48,7 @@ def can_frame_seconds(data_size: int, bitrate: int, data_bitrate: int | None = N
 
 
 def can_load(traffic: Iterable[Traffic], bitrate: int, data_bitrate: int | None = None) -> float:
-    """Share of a CAN bus that the traffic takes at worst; above 1 it does not fit."""
+    """Return share of a CAN bus that the traffic takes at worst; above 1 it does not fit."""
     load = 0.0
     for part in traffic:
         pieces = fragment(wire_frame(part.packet, 0, 0, 0), fd=data_bitrate is not None)
@@ -58,7 +58,7 @@ def can_load(traffic: Iterable[Traffic], bitrate: int, data_bitrate: int | None 
 
 
 def uart_load(traffic: Iterable[Traffic], baud: int, has_relay: bool = False) -> float:
-    """Share of a UART (8N1) that the traffic takes; above 1 it does not fit.
+    """Return share of a UART (8N1) that the traffic takes; above 1 it does not fit.
 
     has_relay: all senders of one kind share a batch each time.
     """

@@ -44,7 +44,7 @@ class BodyCodec(Generic[P]):
         self._by_mask = {mask: self._compile(mask) for mask in self._layout.valid_masks()}
 
     def decode(self, body: bytes) -> P | Defect:
-        """The packet, or why the body is none. Never raises."""
+        """Return the packet, or why the body is none. Never raises."""
         if self._has_mask and not body:
             return Defect.BAD_LENGTH
         layout = self._by_mask.get(body[0] if self._has_mask else 0)
@@ -62,7 +62,7 @@ class BodyCodec(Generic[P]):
         return self._packet_class(*values)
 
     def encode(self, packet: P) -> bytes:
-        """The body. Raises ValueError, naming the field, when a value cannot be sent."""
+        """Return the body. Raises ValueError, naming the field, when a value cannot be sent."""
         mask = 0
         elements: list[Any] = []
         clipped: set[str] = set()
@@ -86,7 +86,8 @@ class BodyCodec(Generic[P]):
         return bits
 
     def _elements(self, declared: WireField, value: Any, clipped: set[str]) -> Sequence[Any]:
-        """The numbers that stand for a value on the wire; adds the field to ``clipped`` if it saturates."""
+        """Return the numbers that stand for a value on the wire; adds the field to ``clipped`` if it
+        saturates."""
         saturates = any(f.clips == declared.name for f in self._layout.flags)
         try:
             elements = elements_of(declared, value, saturates)

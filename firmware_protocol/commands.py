@@ -199,7 +199,7 @@ _ENTRIES = {number: FieldsCodec(declared.entries) for number, declared in VERBS.
 
 
 def encode_arguments(verb: int, *values: Any) -> bytes:
-    """The arguments of a command, one value a declared field.
+    """Return the arguments of a command, one value a declared field.
 
     Raises ValueError, naming the verb and the field, for an unknown verb or what cannot be sent.
     """
@@ -207,14 +207,14 @@ def encode_arguments(verb: int, *values: Any) -> bytes:
 
 
 def decode_arguments(verb: int, arguments: bytes) -> tuple[Any, ...] | None:
-    """The values, one a declared field; None for an unknown verb or bad arguments. Never raises."""
+    """Return the values, one a declared field; None for an unknown verb or bad arguments. Never raises."""
     codec = _ARGUMENTS.get(verb)
     return None if codec is None else codec.decode(arguments)
 
 
 def encode_payload(verb: int, *values: Any) -> bytes:
-    """The payload of an acknowledgement: one value a declared field; where entries are declared, a sequence
-    of them, each a sequence of its fields' values, comes last.
+    """Return the payload of an acknowledgement: one value a declared field; where entries are declared, a
+    sequence of them, each a sequence of its fields' values, comes last.
 
     Raises ValueError, naming the verb and the field, for an unknown verb or what cannot be sent.
     """
@@ -227,7 +227,8 @@ def encode_payload(verb: int, *values: Any) -> bytes:
 
 
 def decode_payload(verb: int, payload: bytes) -> tuple[Any, ...] | None:
-    """The values as ``encode_payload`` takes them; None for an unknown verb or payload. Never raises."""
+    """Return the values as ``encode_payload`` takes them; None for an unknown verb or payload. Never
+    raises."""
     if verb not in _ENTRIES:
         codec = _PAYLOADS.get(verb)
         return None if codec is None else codec.decode(payload)

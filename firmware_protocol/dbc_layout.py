@@ -41,7 +41,7 @@ class Signal:
 
 
 def packet_signals(layout: Layout, mask: int) -> list[Signal]:
-    """The signals of a packet with this mask in its joined pieces, up to a part of any length."""
+    """Return the signals of a packet with this mask in its joined pieces, up to a part of any length."""
     signals = _run_of_signals(HEAD_FIELDS, 0)
     body = 8 * sum(f.size for f in HEAD_FIELDS)
     if layout.has_mask:
@@ -52,7 +52,8 @@ def packet_signals(layout: Layout, mask: int) -> list[Signal]:
 
 
 def multiplexed_signals(layout: Layout) -> list[Signal]:
-    """The signals with every mask, told apart by ``sensors``. All else is as ``packet_signals`` has it.
+    """Return the signals with every mask, told apart by ``sensors``. All else is as ``packet_signals`` has
+    it.
 
     One that moves as others come and go is named for its first byte where it is not in its last place.
     """
@@ -75,7 +76,7 @@ def multiplexed_signals(layout: Layout) -> list[Signal]:
 
 
 def cut(signals: list[Signal], place: int) -> list[Signal]:
-    """The signals that the classic piece at this place holds, counted from its own first bit."""
+    """Return the signals that the classic piece at this place holds, counted from its own first bit."""
     size = 8 * CLASSIC_DATA_SIZE
     start = place * size
     return [part for signal in signals for part in _parts(signal, start, start + size)]
@@ -113,7 +114,7 @@ def _run_of_signals(declared: Sequence[WireField], start: int) -> list[Signal]:
 
 
 def _mask_signals(layout: Layout, start: int) -> list[Signal]:
-    """The mask byte: the presence bits, which come first, as one number, and each flag."""
+    """Return the mask byte: the presence bits, which come first, as one number, and each flag."""
     present = {f.presence_bit: f.name for f in layout.fields if f.presence_bit is not None}
     names = {
         mask: " ".join(name for bit, name in present.items() if mask >> bit & 1) or "none"

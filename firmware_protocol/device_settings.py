@@ -135,12 +135,12 @@ _CODECS = {key: FieldsCodec((declared.value,)) for key, declared in SETTINGS.ite
 
 
 def factory_settings() -> dict[int, Any]:
-    """The factory value of every setting, by key."""
+    """Return the factory value of every setting, by key."""
     return {key: declared.factory for key, declared in SETTINGS.items()}
 
 
 def encode_value(key: int, value: Any) -> bytes:
-    """A setting's value on the wire and in flash.
+    """Return a setting's value on the wire and in flash.
 
     Raises ValueError, naming the setting, for an unknown key or a value outside its limits.
     """
@@ -150,7 +150,7 @@ def encode_value(key: int, value: Any) -> bytes:
 
 
 def decode_value(key: int, data: bytes) -> Any:
-    """The value; None for an unknown key or bytes that are no value of the setting. Never raises."""
+    """Return the value; None for an unknown key or bytes that are no value of the setting. Never raises."""
     codec = _CODECS.get(key)
     values = None if codec is None else codec.decode(data)
     return None if values is None else values[0]

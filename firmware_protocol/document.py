@@ -49,7 +49,7 @@ from firmware_protocol.relay import ENTRY_FIELDS
 
 
 def render() -> str:
-    """The whole of ``README.md``."""
+    """Return the whole of ``README.md``."""
     sections = [
         INTRODUCTION,
         "## Wire frame",

@@ -19,7 +19,7 @@ from firmware_protocol.versions import SUPPORTED
 
 
 def command_section() -> str:
-    """All verbs."""
+    """Return all verbs."""
     overview = table(
         ("Verb", "Name", "Changes the device", "Does what"),
         (
@@ -44,7 +44,7 @@ def _verb_section(verb: VerbDeclaration) -> str:
 
 
 def setting_section() -> str:
-    """All settings."""
+    """Return all settings."""
     overview = table(
         ("Key", "Name", "Type", "Unit", "One step", "From", "To", "Factory", "Meaning"),
         map(_setting_row, SETTINGS.values()),
@@ -68,7 +68,8 @@ def _setting_row(setting: Setting) -> tuple[object, ...]:
 
 
 def _limits(declared: WireField) -> tuple[str, str]:
-    """The least and the largest value, where they are not told by a list of meanings or by the type."""
+    """Return the least and the largest value, where they are not told by a list of meanings or by the
+    type."""
     if declared.maximum is None:
         return "", ""
     return f"{declared.minimum or 0:.6g}", f"{declared.maximum:.6g}"
@@ -83,7 +84,7 @@ def _factory(setting: Setting) -> str:
 
 
 def flash_section() -> str:
-    """The two slots."""
+    """Return the two slots."""
     checksum = WireField(name="crc32", code="I", sentence="Over all bytes before it, magic included.")
     value = WireField(name="value", code="s", count=0, sentence="As many bytes as size says.")
     return FLASH.format(
@@ -109,7 +110,7 @@ def transfer_section() -> str:
 
 
 def version_section() -> str:
-    """How host and module agree on a version."""
+    """Return how host and module agree on a version."""
     lowest, highest = SUPPORTED
     spoken = f"version {lowest} alone" if lowest == highest else f"versions {lowest} to {highest}"
     return VERSIONS.format(spoken=spoken).strip()

@@ -8,13 +8,13 @@ from firmware_protocol.fields import INTEGER_RANGE, Layout, MaskFlag, WireField
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table of Markdown."""
+    """Return a table of Markdown."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
 
 
 def fixed_table(declared: Sequence[WireField]) -> str:
-    """Fields that are always there, with their offsets up to one of unknown size."""
+    """Return fields that are always there, with their offsets up to one of unknown size."""
     has_steps = any(f.scale is not None for f in declared)
     head = ("Offset", "Field", "Type", "Unit", *(("One step",) if has_steps else ()), "Meaning")
     rows = []
@@ -31,7 +31,7 @@ def _offset(offset: int | None) -> str:
 
 
 def body_field(sentence: str) -> WireField:
-    """A field of as many bytes as something else says."""
+    """Return a field of as many bytes as something else says."""
     return WireField(name="body", code="s", count=0, sentence=sentence.capitalize() + ".")
 
 
@@ -43,7 +43,7 @@ def _type_name(declared: WireField) -> str:
 
 
 def masked_table(declared: Sequence[WireField]) -> str:
-    """Fields that a bit of the mask says are there."""
+    """Return fields that a bit of the mask says are there."""
     rows = [
         (f.presence_bit, f"`{f.name}`", f.type_name, f.unit, _scale(f), _range(f), f.sentence)
         for f in declared
@@ -52,7 +52,7 @@ def masked_table(declared: Sequence[WireField]) -> str:
 
 
 def flag_table(layout: Layout) -> str:
-    """The bits of the mask that are values themselves, and those that are reserved."""
+    """Return the bits of the mask that are values themselves, and those that are reserved."""
     used: dict[int, MaskFlag] = {f.bit: f for f in layout.flags}
     taken = {f.presence_bit for f in layout.fields}
     rows = [

@@ -19,7 +19,7 @@ _BEYOND_ANY_CODE = 2.0**40
 
 
 def elements_of(declared: WireField, value: Any, saturates: bool = False) -> Sequence[Any]:
-    """The elements of a value, in the range of their layout code unless the field ``saturates``.
+    """Return the elements of a value, in the range of their layout code unless the field ``saturates``.
 
     Raises ValueError, TypeError or OverflowError when the value cannot be sent.
     """
@@ -51,7 +51,7 @@ def elements_of(declared: WireField, value: Any, saturates: bool = False) -> Seq
 
 
 def reader(declared: WireField, start: int) -> Reader:
-    """What makes the field's value of all unpacked elements, of which its own begin at ``start``.
+    """Return what makes the field's value of all unpacked elements, of which its own begin at ``start``.
 
     A reader never raises; it gives None for text that is none.
     """
@@ -79,7 +79,7 @@ def _single_reader(declared: WireField, start: int) -> Reader:
 
 
 def starts(declared: Sequence[WireField], first: int = 0) -> list[int]:
-    """Index of each field's first element among the unpacked ones."""
+    """Return index of each field's first element among the unpacked ones."""
     sizes = (1 if f.code == "s" else f.count for f in declared)
     return list(accumulate(sizes, initial=first))[:-1]
 
@@ -96,7 +96,7 @@ class FieldsCodec:
         """Bytes before the field that goes to the end; of all, when there is none."""
 
     def encode(self, *values: Any) -> bytes:
-        """The bytes of the values, one a field. Raises ValueError, naming the field, for a bad one."""
+        """Return the bytes of the values, one a field. Raises ValueError, naming the field, for a bad one."""
         names = [f.name for f in self._declared]
         if len(values) != len(names):
             raise ValueError(f"{len(values)} values given; there are {len(names)}: {', '.join(names)}")
@@ -110,7 +110,7 @@ class FieldsCodec:
         return self._struct.pack(*elements) + rest
 
     def decode(self, data: bytes) -> tuple[Any, ...] | None:
-        """The values, or None when the bytes hold none of them. Never raises."""
+        """Return the values, or None when the bytes hold none of them. Never raises."""
         if len(data) < self.fixed_size:
             return None
         elements: Elements = self._struct.unpack_from(data)
@@ -127,7 +127,7 @@ class FieldsCodec:
 
 
 def is_size_allowed(rest: WireField, size: int) -> bool:
-    """Whether a field that goes to the end of the body may hold so many bytes."""
+    """Return whether a field that goes to the end of the body may hold so many bytes."""
     largest = MAX_REST_SIZE if rest.max_size is None else rest.max_size
     return rest.min_size <= size <= largest
 

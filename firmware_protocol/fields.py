@@ -106,7 +106,7 @@ class WireField:
         )
 
     def accepts(self, value: Any) -> bool:
-        """Whether a decoded value is finite, within the declared limits and of a declared meaning."""
+        """Return whether a decoded value is finite, within the declared limits and of a declared meaning."""
         if value is None:
             return self.absent is not None
         if self.code == "s":
@@ -144,11 +144,11 @@ class Layout:
         return bool(self.flags) or any(f.presence_bit is not None for f in self.fields)
 
     def present(self, mask: int) -> tuple[WireField, ...]:
-        """The fields that a body with this mask holds, in wire order."""
+        """Return the fields that a body with this mask holds, in wire order."""
         return tuple(f for f in self.fields if f.presence_bit is None or mask >> f.presence_bit & 1)
 
     def struct_format(self, mask: int = 0) -> str:
-        """Layout of the whole body with this mask, for ``struct``."""
+        """Return layout of the whole body with this mask, for ``struct``."""
         codes = ["B"] if self.has_mask else []
         return BYTE_ORDER + "".join(codes + [f.struct_format for f in self.present(mask)])
 
@@ -166,7 +166,7 @@ class Layout:
         return fixed + self.rest.min_size, fixed + largest
 
     def valid_masks(self) -> tuple[int, ...]:
-        """Every mask a sender may use: no reserved bit, nothing clipped that is absent."""
+        """Return every mask a sender may use: no reserved bit, nothing clipped that is absent."""
         if not self.has_mask:
             return (0,)
         return tuple(mask for mask in range(256) if self._is_valid(mask))
@@ -197,7 +197,7 @@ def flag(bit: int, sentence: str, clips: str | None = None) -> dict[str, Any]:
 
 
 def layout_of(packet_class: type[Any]) -> Layout:
-    """The declared layout of a packet class, in wire order."""
+    """Return the declared layout of a packet class, in wire order."""
     declared = [
         dataclasses.replace(f.metadata["wire"], name=f.name) for f in dataclasses.fields(packet_class)
     ]

@@ -57,11 +57,11 @@ class Flash(Protocol):
         ...
 
     def erase(self, slot: int) -> None:
-        """Sets every bit of a slot."""
+        """Set every bit of a slot."""
         ...
 
     def program(self, address: int, data: bytes) -> None:
-        """Clears the bits that are 0 in ``data``."""
+        """Clear the bits that are 0 in ``data``."""
         ...
 
 
@@ -91,7 +91,8 @@ class SlotStore:
         return None if current is None else current[1].generation
 
     def load(self) -> dict[int, Any]:
-        """Every setting by key: as committed last, else the factory value. Never raises for what it reads.
+        """Return every setting by key: as committed last, else the factory value. Never raises for what it
+        reads.
 
         A committed value that this firmware does not know or allow gives way to the factory value.
         """
@@ -105,7 +106,7 @@ class SlotStore:
         return settings
 
     def commit(self, settings: Mapping[int, Any]) -> int:
-        """Makes these settings the ones in use, all or nothing; those left out get their factory value.
+        """Make these settings the ones in use, all or nothing; those left out get their factory value.
 
         Returns the new generation. Raises ValueError for a value outside its limits or settings that do
         not fit a slot, FlashError when the flash reads back otherwise.
@@ -127,7 +128,7 @@ class SlotStore:
         return generation
 
     def _current(self) -> tuple[int, Slot] | None:
-        """The slot in use and what it holds; None when neither is good."""
+        """Return the slot in use and what it holds; None when neither is good."""
         read = [self._flash.read(slot * self._slot_size, self._slot_size) for slot in SLOTS]
         good = [(slot, found) for slot in SLOTS if (found := decode_slot(read[slot])) is not None]
         if len(good) < len(SLOTS):
@@ -136,12 +137,12 @@ class SlotStore:
 
 
 def is_newer(generation: int, other: int) -> bool:
-    """Whether a generation comes after another, in serial-number arithmetic modulo 2^32 (RFC 1982)."""
+    """Return whether a generation comes after another, in serial-number arithmetic modulo 2^32 (RFC 1982)."""
     return 0 < (generation - other) % _GENERATIONS < _GENERATIONS // 2
 
 
 def encode_slot(generation: int, settings: Mapping[int, Any]) -> bytes:
-    """The image of a slot, magic included. Raises ValueError for a value outside its limits."""
+    """Return the image of a slot, magic included. Raises ValueError for a value outside its limits."""
     entries = b""
     for key in sorted(settings):
         value = encode_value(key, settings[key])
@@ -151,7 +152,7 @@ def encode_slot(generation: int, settings: Mapping[int, Any]) -> bytes:
 
 
 def decode_slot(image: bytes) -> Slot | None:
-    """What a slot holds; None when it is erased, unfinished or spoilt. Never raises."""
+    """Return what a slot holds; None when it is erased, unfinished or spoilt. Never raises."""
     if len(image) < _HEAD.size + _CHECKSUM.size:
         return None
     magic, generation, length, _ = _HEAD.unpack_from(image)

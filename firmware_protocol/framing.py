@@ -99,7 +99,7 @@ Entry = tuple[int, int, int, int, bytes]
 
 
 def serialize(frame: WireFrame) -> bytes:
-    """The wire frame before stuffing, checksum included.
+    """Return the wire frame before stuffing, checksum included.
 
     Raises ValueError when a number does not fit its field or the body is too long.
     """
@@ -114,7 +114,7 @@ def serialize(frame: WireFrame) -> bytes:
 
 
 def encode_frame(frame: WireFrame) -> bytes:
-    """The wire frame as sent on a byte stream: stuffed and ended by the delimiter.
+    """Return the wire frame as sent on a byte stream: stuffed and ended by the delimiter.
 
     Raises ValueError when a number does not fit its field or the body is too long.
     """
@@ -122,7 +122,7 @@ def encode_frame(frame: WireFrame) -> bytes:
 
 
 def parse(raw: bytes) -> Entry | Defect:
-    """A wire frame from its bytes before stuffing."""
+    """Return a wire frame from its bytes before stuffing."""
     if len(raw) < MIN_FRAME_SIZE:
         return Defect.TOO_SHORT
     content = raw[: -_CHECKSUM.size]
@@ -135,7 +135,7 @@ def parse(raw: bytes) -> Entry | Defect:
 
 
 def unstuff(encoded: bytes) -> Entry | Defect:
-    """A wire frame from the bytes between two delimiters."""
+    """Return a wire frame from the bytes between two delimiters."""
     if len(encoded) > MAX_STUFFED_SIZE:
         return Defect.OVERLONG
     raw = stuffing.unstuff(encoded)
@@ -158,11 +158,11 @@ class FrameDecoder:
         self._skipping = False
 
     def feed(self, chunk: bytes) -> list[WireFrame]:
-        """The wire frames that this chunk completes, in order."""
+        """Return the wire frames that this chunk completes, in order."""
         return [WireFrame(*entry) for entry in self.entries(chunk)]
 
     def entries(self, chunk: bytes) -> list[Entry]:
-        """The same as plain tuples."""
+        """Return the same as plain tuples."""
         *complete, self._partial = (self._partial + chunk).split(DELIMITER)
         if complete and self._skipping:
             # The rest of an overlong frame, which was counted when it grew too long.

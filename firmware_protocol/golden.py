@@ -26,13 +26,13 @@ FILES = ("packets", "defects", "commands", "settings", "signing")
 
 
 def packet_vectors() -> dict[str, Any]:
-    """What ``vectors/packets.json`` holds."""
+    """Return what ``vectors/packets.json`` holds."""
     vectors = [{"name": name, **frame_vector(frame)} for name, frame in FRAMES.items()]
     return {"protocol_version": PROTOCOL_VERSION, "vectors": vectors}
 
 
 def write(folder: Path) -> None:
-    """Writes every file of vectors into a folder."""
+    """Write every file of vectors into a folder."""
     contents = (packet_vectors(), defect_vectors(), command_vectors(), setting_vectors(), signing_vectors())
     for name, content in zip(FILES, contents, strict=True):
         text = json.dumps(content, indent=1, ensure_ascii=False)

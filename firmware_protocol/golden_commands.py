@@ -56,13 +56,13 @@ OTHER_VALUES: Mapping[int, Any] = {
 
 
 def command_vectors() -> dict[str, Any]:
-    """What ``vectors/commands.json`` holds."""
+    """Return what ``vectors/commands.json`` holds."""
     vectors = [_verb_vector(verb, *example) for verb, example in _EXAMPLES.items()]
     return {"protocol_version": PROTOCOL_VERSION, "vectors": vectors}
 
 
 def setting_vectors() -> dict[str, Any]:
-    """What ``vectors/settings.json`` holds."""
+    """Return what ``vectors/settings.json`` holds."""
     values = [(key, setting.factory) for key, setting in SETTINGS.items()] + list(OTHER_VALUES.items())
     generation = 2**32 - 1
     return {

@@ -23,7 +23,7 @@ GOOD = wire_frame(_SAMPLE, 3, 17, 1_250_000)
 
 
 def defect_vectors() -> dict[str, Any]:
-    """What ``vectors/defects.json`` holds: damaged input, and what a receiver makes of it."""
+    """Return what ``vectors/defects.json`` holds: damaged input, and what a receiver makes of it."""
     return {
         "protocol_version": PROTOCOL_VERSION,
         "byte_stream": [

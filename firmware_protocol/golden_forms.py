@@ -14,7 +14,7 @@ from firmware_protocol.packets import PacketDecoder, ReceivedPacket
 
 
 def frame_vector(frame: WireFrame) -> dict[str, Any]:
-    """A wire frame on every link, and the packets it holds."""
+    """Return a wire frame on every link, and the packets it holds."""
     sent = encode_frame(frame)
     classic = fragment(frame) if len(frame.body) <= MAX_CLASSIC_BODY_SIZE else None
     fd = fragment(frame, fd=True) if len(frame.body) <= MAX_CAN_BODY_SIZE else None
@@ -41,7 +41,7 @@ def _can_vector(frames: Iterable[CanFrame]) -> dict[str, Any]:
 
 
 def received_as_json(received: ReceivedPacket) -> dict[str, Any]:
-    """A received packet as JSON holds it: tuples as lists, bytes as hex."""
+    """Return a received packet as JSON holds it: tuples as lists, bytes as hex."""
     values = dataclasses.asdict(received.packet)
     return {
         "kind": received.kind,
@@ -54,7 +54,7 @@ def received_as_json(received: ReceivedPacket) -> dict[str, Any]:
 
 
 def as_json(value: Any) -> Any:
-    """A value as JSON holds it: tuples as lists, bytes as hex."""
+    """Return a value as JSON holds it: tuples as lists, bytes as hex."""
     if isinstance(value, bytes):
         return value.hex()
     return [as_json(element) for element in value] if isinstance(value, tuple) else value

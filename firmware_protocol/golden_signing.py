@@ -20,7 +20,7 @@ _HASHED = (0, 1, 55, 63, 64, 65, 127, 128, 129, 1000)
 
 
 def signing_vectors() -> dict[str, Any]:
-    """What ``vectors/signing.json`` holds."""
+    """Return what ``vectors/signing.json`` holds."""
     return {
         "protocol_version": PROTOCOL_VERSION,
         "key": KEY.hex(),
@@ -35,7 +35,7 @@ def signing_vectors() -> dict[str, Any]:
 
 
 def _from_module() -> dict[str, bytes]:
-    """What the host is to take, or to refuse."""
+    """Return what the host is to take, or to refuse."""
     sent = encode_frame(GOOD)
     first, second, third = (_signed(sent, count) for count in range(1, 4))
     return {
@@ -53,7 +53,7 @@ def _from_module() -> dict[str, bytes]:
 
 
 def _from_host() -> dict[str, bytes]:
-    """What a module is to take, or to refuse."""
+    """Return what a module is to take, or to refuse."""
     host = SignedFrames(KEY, HOST_SIGNER, _COUNT)
     asked = encode_frame(wire_frame(SyncRequest(7, 1_700_000_000_000_000), 255, 0, 0))
     first, second = host.sign(asked), host.sign(asked)

@@ -125,7 +125,7 @@ class WireFrameDecoder(Protocol):
 
 
 def encode_packet(packet: Packet) -> bytes:
-    """The body of a packet.
+    """Return the body of a packet.
 
     Inertial readings beyond the range are sent as its end, and marked clipped. Any other value that
     cannot be sent (not finite, out of range, clipped but absent) raises ValueError naming its field.
@@ -134,13 +134,13 @@ def encode_packet(packet: Packet) -> bytes:
 
 
 def decode_body(kind: int, body: bytes) -> Packet | Defect:
-    """The packet that a body holds, or why it holds none. Never raises."""
+    """Return the packet that a body holds, or why it holds none. Never raises."""
     codec = _CODECS.get(kind)
     return Defect.UNKNOWN_KIND if codec is None else codec.decode(body)
 
 
 def wire_frame(packet: Packet, module: int, sequence: int, module_time_us: int) -> WireFrame:
-    """The wire frame of a packet that ``module`` sends, or that the host sends to it.
+    """Return the wire frame of a packet that ``module`` sends, or that the host sends to it.
 
     Raises ValueError as ``encode_packet``.
     """
@@ -173,11 +173,11 @@ class PacketDecoder:
         return frames.total() + self._dropped.total() - frames[Defect.FOREIGN]
 
     def feed(self, chunk: bytes) -> list[ReceivedPacket]:
-        """The packets that this chunk completes, in order."""
+        """Return the packets that this chunk completes, in order."""
         return self._receive(self._frames.entries(chunk))
 
     def take(self, frame: WireFrame) -> list[ReceivedPacket]:
-        """The packets of a wire frame that came another way, such as by ``TransferReceiver``."""
+        """Return the packets of a wire frame that came another way, such as by ``TransferReceiver``."""
         return self._receive([(frame.kind, frame.module, frame.sequence, frame.module_time_us, frame.body)])
 
     def _receive(self, entries: list[Entry]) -> list[ReceivedPacket]:
@@ -209,7 +209,8 @@ class PacketDecoder:
             received.append(packet)
 
     def decode(self, entry: Entry, relayed_us: int | None = None) -> ReceivedPacket | None:
-        """The packet of a wire frame that is no batch, or of an entry of one; None where it was dropped."""
+        """Return the packet of a wire frame that is no batch, or of an entry of one; None where it was
+        dropped."""
         kind, module, sequence, module_time_us, body = entry
         known = _RECEIVED.get(kind)
         if known is None:

@@ -270,7 +270,7 @@ host; flow control goes by the kind of its own sender, under the same module id.
 
 The receiver sends flow control after the first piece and after each block; when a piece is missing
 ("repeat", once for each gap); and when it has waited {piece_ms} ms for a piece. Told to wait, a sender
-waits for more flow control, which comes every {wait_ms} ms. A sender that hears nothing for {flow_ms} ms
+waits for more flow control, which comes every {wait_ms} ms. A sender that receives nothing for {flow_ms} ms
 sends its last piece again. Either end gives up after {retries} such time-outs in a row. A receiver passes
 over pieces that it has already; if it was the last piece of a block, it repeats its flow control.
 "Continue" for a block that was continued already is passed over by the sender. One sender has one transfer

@@ -27,7 +27,7 @@ _ENTRY = struct.Struct(BYTE_ORDER + "".join(f.struct_format for f in ENTRY_FIELD
 
 
 def relay_batch(frames: Sequence[WireFrame], sequence: int, module_time_us: int) -> WireFrame:
-    """The wire frame in which a relay forwards others.
+    """Return the wire frame in which a relay forwards others.
 
     Raises ValueError for a batch within a batch, a body over 255 bytes or a number that does not
     fit its field. The whole batch may be too long for a wire frame: ``encode_frame`` refuses it then.
@@ -37,7 +37,7 @@ def relay_batch(frames: Sequence[WireFrame], sequence: int, module_time_us: int)
 
 
 def split_batch(body: bytes) -> tuple[list[Entry], bool]:
-    """The whole entries of a batch, and whether a truncated one followed them. Never raises."""
+    """Return the whole entries of a batch, and whether a truncated one followed them. Never raises."""
     entries: list[Entry] = []
     end, size = len(body), _ENTRY.size
     stop = 0

@@ -61,7 +61,7 @@ class SignedFrames:
 
     def __init__(self, key: bytes, signer: int = HOST_SIGNER, count: int = 0) -> None:
         """
-        signer: who this end is; ``HOST_SIGNER`` hears all others, others hear it alone.
+        signer: who this end is; ``HOST_SIGNER`` accepts all others, others accept it alone.
         count: what comes must be above it, and what is sent goes on from it. The host gives the time; a
         module the newest count that it has stored.
 
@@ -95,7 +95,7 @@ class SignedFrames:
         return b"".join([self._signed(frame + DELIMITER) for frame in frames]) + rest
 
     def open(self, datagram: bytes) -> bytes:
-        """The wire frames of a datagram whose signatures are right and new, as sent. Keeps nothing."""
+        """Return the wire frames of a datagram whose signatures are right and new, as sent. Keeps nothing."""
         self._signature = None
         opened, rest = self._open(datagram)
         if rest:
@@ -103,7 +103,8 @@ class SignedFrames:
         return opened
 
     def feed(self, chunk: bytes) -> bytes:
-        """The same of a stream in chunks of any size. Holds at most one stuffed wire frame between them."""
+        """Return the same of a stream in chunks of any size. Holds at most one stuffed wire frame between
+        them."""
         if self._skipping:
             _, delimiter, chunk = chunk.partition(DELIMITER)
             self._skipping = not delimiter
@@ -130,7 +131,7 @@ class SignedFrames:
         return stuff(signed + keyed.digest()) + DELIMITER + frame
 
     def _open(self, data: bytes) -> tuple[bytes, bytes]:
-        """What is right of whole blocks, and the bytes after the last of them."""
+        """Return what is right of whole blocks, and the bytes after the last of them."""
         opened: list[bytes] = []
         begin = 0
         self.owes_count = False
@@ -182,7 +183,7 @@ class SignedFrames:
 
 
 def _signature_in(block: bytes) -> bytes | None:
-    """The signature that a delimited block holds; None: it is something else."""
+    """Return the signature that a delimited block holds; None: it is something else."""
     if len(block) != SENT_SIGNATURE_SIZE:
         return None
     raw, place = bytearray(block), 0  # no longer than one block of the stuffing: a shorter way than unstuff

@@ -11,7 +11,8 @@ _LONGEST = 255
 
 
 def stuff(raw: bytes) -> bytes:
-    """The same without a zero; one byte longer, and one more for every 254 bytes begun that hold no zero."""
+    """Return the same without a zero; one byte longer, and one more for every 254 bytes begun that hold no
+    zero."""
     out = bytearray()
     for part in raw.split(b"\x00"):
         begun = 0
@@ -27,7 +28,7 @@ def stuff(raw: bytes) -> bytes:
 
 
 def unstuff(encoded: bytes) -> bytes | None:
-    """What was stuffed; None where a zero stands in it or its last block is cut off.
+    """Return what was stuffed; None where a zero stands in it or its last block is cut off.
 
     The byte before a block is where the zero was that ended the block before.
     """

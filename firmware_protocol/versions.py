@@ -22,6 +22,6 @@ NO_VERSION = 0
 
 
 def negotiate(one: tuple[int, int], other: tuple[int, int]) -> int | None:
-    """The highest version in both ranges (lowest, highest); None when they share none."""
+    """Return the highest version in both ranges (lowest, highest); None when they share none."""
     lowest, highest = max(one[0], other[0]), min(one[1], other[1])
     return highest if lowest <= highest and highest != NO_VERSION else None

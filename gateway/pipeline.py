@@ -104,7 +104,7 @@ class Pipeline:
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
-        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table,
+        """Return the pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table,
         for a body that cannot walk and shall, and for a method that the suit has no modules for."""
         settings = fitting_suit(settings, suit)
         table = settings.clock.table
@@ -143,7 +143,7 @@ class Pipeline:
         return self._routes[link][0]
 
     def has_modules(self, link: str) -> bool:
-        """Whether modules are at the other end of a link that was announced."""
+        """Return whether modules are at the other end of a link that was announced."""
         return self._routes[link][0].observes in (InertialBatch, FusedReading)
 
     def stage_of(self, observes: type[Observation]) -> Stage[Any]:
@@ -154,12 +154,12 @@ class Pipeline:
         return self._stages[make]
 
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
-        """The skeleton frames that a chunk completes."""
+        """Return the skeleton frames that a chunk completes."""
         stage, frames = self._assembled(chunk)
         return self._solved(stage, frames)
 
     def receive(self, chunk: Chunk) -> Sequence[Observation]:
-        """The observations that a chunk completes, with nothing made of them: to count what came."""
+        """Return the observations that a chunk completes, with nothing made of them: to count what came."""
         return self._routes[chunk.link][0].receive(chunk)
 
     def sent(self, chunk: SentChunk) -> None:
@@ -180,7 +180,7 @@ class Pipeline:
         return []
 
     def replay(self, items: Iterable[LinkItem]) -> Iterator[SkeletonFrame]:
-        """A recording: the frames that ``take`` of each item gives, bit for bit, but many at a time."""
+        """Yield a recording: the frames that ``take`` of each item gives, bit for bit, but many at a time."""
         block: list[Any] = []
         stage: Stage[Any] = self.module_stage
         for item in items:
@@ -198,7 +198,7 @@ class Pipeline:
         yield from self._solved(stage, block)
 
     def imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
-        """The frames of all modules that a chunk completes, not yet reconstructed."""
+        """Return the frames of all modules that a chunk completes, not yet reconstructed."""
         stage, frames = self._assembled(chunk)
         return frames if stage is self.module_stage else []
 
@@ -266,7 +266,7 @@ class Pipeline:
         return joined(itertools.chain(self.modules.balances(), made, *shares))
 
     def statistics(self) -> dict[str, Any]:
-        """Counters for the health message."""
+        """Return counters for the health message."""
         found: dict[str, Any] = {
             "skeleton_frames": self.skeleton_frames,
             "dropped_by_link": {link: dict(counts) for link, counts in self.dropped().items()},

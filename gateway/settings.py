@@ -224,7 +224,7 @@ class MetricsSettings(_Strict):
     )
 
     def token(self) -> AccessToken | None:
-        """What readers must show. Raises ``CredentialError`` where others could read and need none."""
+        """Return what readers must show. Raises ``CredentialError`` where others could read and need none."""
         return token_for(
             "the metrics", self.host, self.token_file, METRICS_TOKEN_VARIABLE, "metrics.token_file"
         )
@@ -421,7 +421,7 @@ def check_method(name: str) -> None:
 
 
 def fitting_suit(settings: GatewaySettings, suit: WornSuit) -> GatewaySettings:
-    """The settings, with the optical method where a fitted subject wears markers and no modules.
+    """Return the settings, with the optical method where a fitted subject wears markers and no modules.
 
     Raises ``SettingsError`` where another method is named for it (they all want modules), where the suit has
     a sensor that the method cannot use, and for a body that cannot walk and shall.
@@ -442,7 +442,7 @@ def fitting_suit(settings: GatewaySettings, suit: WornSuit) -> GatewaySettings:
 
 
 def load_gateway_settings(path: Path) -> GatewaySettings:
-    """The configuration file. Raises ``SettingsError`` with one line for each thing wrong.
+    """Return the configuration file. Raises ``SettingsError`` with one line for each thing wrong.
 
     A clock table named in it may lie beside it.
     """

@@ -119,3 +119,15 @@ def test_only_the_registry_imports_the_source_of_a_maker():
             if name.startswith("gateway.sources.") and path.name != "registry.py":
                 word = name.removeprefix("gateway.sources.")
                 assert word not in OF_MAKERS or is_own(path, word), f"{path}:{node.lineno}"
+
+
+def test_the_page_of_the_tree_names_every_room():
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    tree = page.partition("firmware_protocol/   THE WIRE")[2].partition("```")[0]
+    rooms = {
+        path.name
+        for path in (ROOT / "gateway").iterdir()
+        if path.is_dir() and (path / "__init__.py").exists()
+    }
+    assert len(rooms) > 15
+    assert not sorted(room for room in rooms if f"{room}/" not in tree), "name it in docs/architecture.md"

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 TESTS = Path(__file__).resolve().parent
-SECURITY = TESTS.parent / "docs" / "security.md"
-PAGES = [TESTS.parent / "README.md", *sorted((TESTS.parent / "docs").glob("*.md"))]
+SECURITY = TESTS.parent / "docs" / "reference" / "security.md"
+PAGES = [TESTS.parent / "README.md", *sorted((TESTS.parent / "docs").rglob("*.md"))]
 NAMED = re.compile(r"`(?:tests/)?((?:\w+/)*test_\w+\.py|…)(?:::(\w+))?`")
 
 

@@ -80,7 +80,7 @@ def _vectors(name: str) -> list[dict[str, Any]]:
 
 
 _REGISTERS = [encode_packet(REGISTERS, (9, 6, 0, 0)), encode_write(*UNLOCK)]
-_TOLD_BY_MVN = [
+_MVN_DATAGRAMS = [
     encode_text(META, 1, 10, "name:A\n"),
     encode_scale(1, 10, {"pelvis": (0.0, 0.0, 1.0)}),
     encode_mvn(JOINT_ANGLES, 1, 10, [JointRotation(1, 2, (1.0, 2.0, 3.0))]),
@@ -114,7 +114,7 @@ def _of_the_wire() -> dict[str, list[bytes]]:
         "wire_stream": [*streams, b"".join(streams[:8])],
         "ximu3_stream": [*_spoken("ximu3"), *_spoken("ximu3_text"), _ANNOUNCED],
         "witmotion_stream": [*_spoken("witmotion"), *_spoken("witmotion_can"), *_REGISTERS],
-        "suit_datagrams": [*_spoken("mvn"), *_spoken("mocopi"), *_spoken("bno08x_rvc"), *_TOLD_BY_MVN],
+        "suit_datagrams": [*_spoken("mvn"), *_spoken("mocopi"), *_spoken("bno08x_rvc"), *_MVN_DATAGRAMS],
         "mti_stream": [*_spoken("mti"), encode_can({"sample_time_us": (7,), "acceleration": (0, 0, 9.75)})],
         "slimevr_datagrams": [*_spoken("slimevr")[:9], *_SLIMEVR],
         "can_stream": [*buses, b"".join(buses[:4])],

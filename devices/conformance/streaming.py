@@ -185,8 +185,8 @@ async def specific_force(bench: Bench) -> None:
     )
 
 
-@rule("sensors_told", "DeviceInfo tells range and rate of each sensor that samples have, and of no other")
-async def sensors_told(bench: Bench) -> None:
+@rule("sensors_reported", "DeviceInfo tells range and rate of each sensor that samples have, and of no other")
+async def sensors_reported(bench: Bench) -> None:
     """Hold the newest DeviceInfo against all samples."""
     info = bench.from_module(DeviceInfo)[-1].packet
     for sensor, told in (
@@ -211,5 +211,5 @@ STREAMING = (
     counter_in_microseconds,
     even_sampling,
     specific_force,
-    sensors_told,
+    sensors_reported,
 )

@@ -57,10 +57,10 @@ async def time_request(bench: Bench) -> None:
 
 
 @rule(
-    "time_told_truly",
+    "time_reported_truly",
     "received_us is the counter when the request came, sent_us when the answer goes to the line",
 )
-async def time_told_truly(bench: Bench) -> None:
+async def time_reported_truly(bench: Bench) -> None:
     """Look whether one offset between both clocks explains all answers, to what a bad crystal drifts."""
     found = await _several(bench, bench.module)
     demand(found, "no request was answered")
@@ -111,4 +111,4 @@ async def time_request_to_another(bench: Bench) -> None:
     demand(not wrong, f"a request to module {other} was answered")
 
 
-TIMING = (time_request, time_told_truly, time_request_to_all, time_request_to_another)
+TIMING = (time_request, time_reported_truly, time_request_to_all, time_request_to_another)

@@ -119,10 +119,10 @@ async def commit(bench: Bench) -> None:
             "what was committed does not read back",
         )
 
-        def told(since: int = since) -> bool:
+        def was_reported(since: int = since) -> bool:
             return any(each.packet.event == SETTINGS_COMMITTED for each in bench.from_module(Event, since))
 
-        demand(await bench.until(told), "no Event 7 came")
+        demand(await bench.until(was_reported), "no Event 7 came")
     demand(
         (generations[1] - generations[0]) % 2**32 == 1, f"the generations of two commits are {generations}"
     )

@@ -1,6 +1,6 @@
 """A device of the suit as its firmware runs it: boots, reports, listens, obeys, loses power. Sans-I/O.
 
-All that happens to a device happens at a true time, in order: packets that it hears, its own answers
+All that happens to a device happens at a true time, in order: packets that it receives, its own answers
 falling due, its power going and coming. Between two such moments it samples and reports on its own.
 """
 

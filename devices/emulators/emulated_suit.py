@@ -35,7 +35,7 @@ _FAST_CHUNK_SIZE = 4096
 
 @runtime_checkable
 class Conversation(Protocol):
-    """A suit that hears what the host says, as ``SuitTraffic`` does. Times are motion time, s."""
+    """A suit that obeys what the host sends, as ``SuitTraffic`` does. Times are motion time, s."""
 
     def receive(self, data: bytes, at_s: float, device: int | None = None) -> None: ...
 
@@ -75,14 +75,14 @@ class EmulatedSuit:
         duration_s: float | None = None,
     ) -> None:
         """
-        source: a suit that hears the host, computed a few milliseconds ahead so that it answers
+        source: a suit that obeys the host, computed a few milliseconds ahead so that it answers
             promptly; or transmissions in order of time, prepared far ahead. Both in a thread. Pass a
             list to have all of them computed beforehand, which keeps the computation out of the timing.
         speed: motion seconds in a second; None: as fast as the reader takes it, without drops.
         is_byte_by_byte: every byte in a write of its own (byte streams only).
         start_ns: gateway time of motion time 0; default: when ``run`` begins to send.
         linger_s: how long the transport stays open after the last byte, so that it can be read.
-        duration_s: motion time at which a suit that hears the host ends; default: never.
+        duration_s: motion time at which a suit that obeys the host ends; default: never.
 
         Raises ``ValueError`` for a speed that is not positive, or single bytes on a CAN bus or in datagrams.
         """
@@ -112,7 +112,7 @@ class EmulatedSuit:
         return (instant_ns - self._start()) * 1e-9 * (self._speed or 1.0)
 
     def do(self, act: Callable[[], None]) -> None:
-        """Have something done to a suit that hears the host, between two steps of its computation."""
+        """Have something done to a suit that obeys the host, between two steps of its computation."""
         self._acts.append(act)
 
     async def run(self) -> None:

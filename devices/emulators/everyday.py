@@ -259,16 +259,16 @@ def plan_of(
     s, amount = course.travelled(times), course.amount(times)
     phase = _phase(times, course)
     legs = {side: leg_of(body, side) for side in ("left", "right")}
-    deeds = _deeds(lap, course, times)
+    activities = _activities(lap, course, times)
     x, z = course.places(s)
     heading = course.heading(s)
-    squat = deeds["squat"]
+    squat = activities["squat"]
     ahead = amount * harmonics(stride.surge, phase) - 0.13 * squat**2
     aside = amount * SWAY_M * np.cos(2.0 * pi * (phase - stride.carries_at))
     up = amount**2 * (harmonics(stride.bob, phase) - stride.drop) - 0.34 * squat**2
-    tilt = amount * stride.tilt + radians(28.0) * squat + radians(6.0) * deeds["bow"]
+    tilt = amount * stride.tilt + radians(28.0) * squat + radians(6.0) * activities["bow"]
     sway = amount * YAW * np.cos(2.0 * pi * phase)
-    yaw = sway + radians(12.0) * deeds["twist"]
+    yaw = sway + radians(12.0) * activities["twist"]
     oblique = -amount * OBLIQUITY * np.cos(2.0 * pi * (phase - 0.17))
     own = np.stack([oblique, yaw, -tilt], axis=1)
     R_pelvis = Rotation.from_euler("y", heading[:, None]) * Rotation.from_euler("ZXY", own[:, [2, 0, 1]])
@@ -289,7 +289,7 @@ def plan_of(
         for row, part in enumerate(("thigh", "shank", "foot")):
             plan.turns[f"{side}_{part}"] = turned[:, row]
     plan.turns[body.segment_names[0]] = own
-    plan.turns.update(_upper_body(amount, phase, tilt, sway, oblique, deeds, rng))
+    plan.turns.update(_upper_body(amount, phase, tilt, sway, oblique, activities, rng))
     return plan
 
 
@@ -335,7 +335,7 @@ def _giving_way(
     return smooth
 
 
-def _deeds(lap: Lap, course: Course, times: FloatArray) -> dict[str, FloatArray]:
+def _activities(lap: Lap, course: Course, times: FloatArray) -> dict[str, FloatArray]:
     """Amounts, 0 to 1, of what is done while standing."""
     (_, first), (_, second) = lap.walks(course.speed)
     t, u = first + 0.3, second
@@ -355,7 +355,7 @@ def _upper_body(
     tilt: FloatArray,
     sway: FloatArray,
     oblique: FloatArray,
-    deeds: dict[str, FloatArray],
+    activities: dict[str, FloatArray],
     rng: np.random.Generator,
 ) -> dict[str, FloatArray]:
     """Trunk, head and arms: the trunk turns against the pelvis, each arm swings with the other side's leg."""
@@ -364,7 +364,7 @@ def _upper_body(
     thorax = np.stack(
         [
             -0.8 * oblique,
-            -2.0 * sway + radians(14.0) * deeds["twist"],
+            -2.0 * sway + radians(14.0) * activities["twist"],
             0.8 * tilt - radians(3.0) * amount,
         ],
         axis=1,
@@ -374,10 +374,10 @@ def _upper_body(
         "head": np.stack([nothing, 0.9 * sway, 0.2 * tilt + radians(2.0) * amount], axis=1),
     }
     for side, sign in (("right", 1.0), ("left", -1.0)):
-        size, squat = rng.uniform(0.92, 1.08), deeds["squat"]
+        size, squat = rng.uniform(0.92, 1.08), activities["squat"]
         forward = -sign * np.cos(swing - 0.25)
-        reach = deeds[f"{side}_reach"]
-        wave = deeds["wave"] if side == "right" else nothing
+        reach = activities[f"{side}_reach"]
+        wave = activities["wave"] if side == "right" else nothing
         turns[f"{side}_upper_arm"] = np.stack(
             [
                 -sign * radians(4.0) * (amount + squat) + sign * radians(20.0) * reach,

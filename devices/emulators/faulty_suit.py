@@ -34,7 +34,7 @@ class FaultySuit:
         self.link = LinkFaults(plan, traffic.framing)
         self.sensors = SensorFaults(plan)
         traffic.on_sent = self.sensors.spoil
-        self._happened: Counter[str] = Counter()
+        self._counts: Counter[str] = Counter()
         self._module_faults = FaultWindows(
             fault for fault in plan.faults if isinstance(fault, Reset | ClockJump | IdConflict)
         )
@@ -48,7 +48,7 @@ class FaultySuit:
     @property
     def counts(self) -> Counter[str]:
         """What befell the suit, by kind of fault."""
-        return self._happened + self.link.counts + self.sensors.counts
+        return self._counts + self.link.counts + self.sensors.counts
 
     @property
     def reached_s(self) -> float:
@@ -72,7 +72,7 @@ class FaultySuit:
         return self.link.rest(self.traffic.rest())
 
     def _begin(self, fault: Reset | ClockJump | IdConflict, at_s: float) -> None:
-        self._happened[fault.kind] += 1
+        self._counts[fault.kind] += 1
         device = self.traffic.device(fault.module)
         match fault:
             case Reset():

@@ -3,7 +3,7 @@ FOLDER``.
 
 Five links carry four markers and a module each. Written are ``ring.trc`` (markers), ``ring_set.yaml`` (a
 marker set for the shipped body ``chain_5``), ``imu.csv`` (the modules' samples), ``columns.yaml`` (what its
-columns are) and ``ring_rig.yaml``: all that the commands of docs/compare.md take.
+columns are) and ``ring_rig.yaml``: all that the commands of docs/guide/compare.md take.
 """
 
 from __future__ import annotations

@@ -175,7 +175,7 @@ class SuitTraffic:
         device.happen(at_s, lambda: device.lose_power(off_s))
 
     def lose_host(self, from_s: float, to_s: float) -> None:
-        """The host is out of range for a while: it hears nothing and is not heard."""
+        """The host is out of range for a while: nothing passes, either way."""
         self._host_absences.append((from_s, to_s))
 
     def _answer(self, number: int, data: bytes, at_s: float) -> None:

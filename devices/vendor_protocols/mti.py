@@ -69,7 +69,7 @@ NUMBERS = (
 )
 """By the two lowest bits of an identifier: float32, fixed point 12.20, fixed point 16.32, float64."""
 AXES = "ENU", "NED", "NWU"
-"""By the two bits above: axes of the world, for what is told in it."""
+"""By the two bits above: axes of the world, for what is given in them."""
 
 
 class Item(NamedTuple):
@@ -126,7 +126,7 @@ class Measurement:
     values: Mapping[str, tuple[float, ...]]
     """By name of ``ITEMS``: m/s², rad/s, fields of calibration, degrees, whole numbers."""
     axes: str = AXES[0]
-    """Of what is told in the world."""
+    """Name the axes of what is given in the world."""
 
     def whole(self, name: str) -> int | None:
         """Return a whole number, such as a counter; None: it was not sent."""

@@ -31,7 +31,7 @@ _SETTINGS_SENTENCE = "Everything that a module can be told to keep."
 
 
 def packets_source() -> str:
-    """Every packet, and the union of them all."""
+    """Return every packet, and the union of them all."""
     records = [
         Record(cls.__name__, f"0x{kind:02X}. {inspect.cleandoc(cls.__doc__ or '')}", layout_of(cls))
         for kind, cls in PACKETS.items()
@@ -78,7 +78,7 @@ def _switch_on_kind(kind: str, names: list[str], calls: list[str], otherwise: st
 
 
 def verbs_source() -> str:
-    """Verbs and results, and a record for whatever goes with a verb."""
+    """Return verbs and results, and a record for whatever goes with a verb."""
     sections = [
         heading("Commands: verbs, their arguments and payloads"),
         enum_source("verb", "What a command asks for.", ((v.name, n, v.sentence) for n, v in VERBS.items())),
@@ -114,7 +114,7 @@ def _changes_device() -> str:
 
 
 def settings_source() -> str:
-    """The settings: struct, keys, factory values, one value at a time to and from bytes."""
+    """Return the settings: struct, keys, factory values, one value at a time to and from bytes."""
     record = record_of_fields("Settings", _SETTINGS_SENTENCE, [s.value for s in SETTINGS.values()])
     keys = ", ".join(f"{key}u" for key in SETTINGS)
     sizes = [setting.value.size for setting in SETTINGS.values()]
@@ -149,7 +149,7 @@ def _factory() -> str:
 
 
 def _factory_lines(setting: Setting) -> Iterator[str]:
-    """Assignments of what is not zero."""
+    """Yield assignments of what is not zero."""
     declared, target = setting.value, f"settings->{setting.name}"
     raw = encode_value(setting.key, setting.factory)
     elements: Iterable[Any] = (

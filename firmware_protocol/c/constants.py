@@ -21,7 +21,7 @@ _CHECKSUM_SIZE = framing.CHECKSUM_FIELD.size
 
 
 def constants_source() -> str:
-    """Every constant, the enumerations, and the functions that tell what belongs to a kind."""
+    """Return every constant, the enumerations, and the functions that tell what belongs to a kind."""
     sections = [
         heading("Constants of the protocol"),
         "\n".join(define(macro_name(name), f"{value}u", note) for name, value, note in _limits()),
@@ -36,7 +36,7 @@ def constants_source() -> str:
 
 
 def enum_source(name: str, sentence: str, members: Iterable[tuple[str, int, str]]) -> str:
-    """An enumeration, from names, numbers and remarks."""
+    """Return an enumeration, from names, numbers and remarks."""
     prefix = () if name == "defect" else (name,)
     lines: list[str] = []
     for member, number, note in members:
@@ -47,7 +47,7 @@ def enum_source(name: str, sentence: str, members: Iterable[tuple[str, int, str]
 
 
 def enum_members(enum: type[IntEnum]) -> Iterable[tuple[str, int, str]]:
-    """Members of a declared enumeration, without remarks."""
+    """Return members of a declared enumeration, without remarks."""
     return ((member.name, int(member), "") for member in enum)
 
 

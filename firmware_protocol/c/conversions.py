@@ -18,7 +18,7 @@ def conversion_source(record: Record) -> str:
 
 
 def put_lines(declared: WireField, value: str, size: str = "") -> list[str]:
-    """Statements that write a field at ``p``; ``value`` is the expression of the whole field."""
+    """Return statements that write a field at ``p``; ``value`` is the expression of the whole field."""
     if declared.code == "s":
         return [f"p = mocap_put_bytes(p, {value}, {size or f'{declared.count}u'});"]
     put = f"mocap_put_{type_suffix(declared)}"
@@ -28,7 +28,7 @@ def put_lines(declared: WireField, value: str, size: str = "") -> list[str]:
 
 
 def get_lines(declared: WireField, target: str) -> list[str]:
-    """Statements that read a field at ``p`` into ``target`` and move ``p`` past it."""
+    """Return statements that read a field at ``p`` into ``target`` and move ``p`` past it."""
     if declared.code == "s":
         return [f"memcpy({target}, p, {declared.count}u);", f"p += {declared.count}u;"]
     get, step = f"mocap_get_{type_suffix(declared)}(p)", f"p += {declared.size // declared.count}u;"
@@ -61,20 +61,20 @@ def refusals(declared: WireField, element: str) -> list[str]:
 
 
 def text_refusal(declared: WireField, value: str, size: str) -> list[str]:
-    """The condition that makes bytes no text, where the field is text."""
+    """Return the condition that makes bytes no text, where the field is text."""
     if not declared.is_text:
         return []
     return [f"!mocap_is_{'text' if declared.is_rest else 'padded_text'}({value}, {size})"]
 
 
 def function(head: str, body: list[str]) -> str:
-    """A function of the header, its body indented."""
+    """Return a function of the header, its body indented."""
     lines = [f"static inline {head} {{", *(_INDENT + line for line in body), "}"]
     return "\n".join(piece for line in lines for piece in wrapped(line))
 
 
 def loops_over(fields: list[WireField]) -> bool:
-    """Whether statements over these fields need an index."""
+    """Return whether statements over these fields need an index."""
     return any(f.count > 1 and f.code != "s" for f in fields)
 
 
@@ -102,7 +102,7 @@ def _mask_size(record: Record) -> str:
 
 
 def validity_source(record: Record) -> str:
-    """The function that tells whether every field has an allowed value; empty when all values are."""
+    """Return the function that tells whether every field has an allowed value; empty when all values are."""
     restricted = [f for f in record.layout.fields if f.is_restricted]
     if not restricted:
         return ""
@@ -207,5 +207,5 @@ def _index(record: Record) -> list[str]:
 
 
 def return_if(condition: str, value: str) -> list[str]:
-    """Statements that return where a condition holds."""
+    """Return statements that return where a condition holds."""
     return [f"if ({condition}) {{", f"    return {value};", "}"]

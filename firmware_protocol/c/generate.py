@@ -19,7 +19,7 @@ HEADER = FOLDER / "mocap_protocol.h"
 
 
 def header_source() -> str:
-    """The whole header, in an order in which everything is declared before it is used."""
+    """Return the whole header, in an order in which everything is declared before it is used."""
     sections = [
         _part("preamble"),
         constants_source(),

@@ -35,12 +35,12 @@ class Record:
 
 
 def record_of_fields(name: str, sentence: str, fields: Sequence[WireField]) -> Record:
-    """A record without a mask."""
+    """Return a record without a mask."""
     return Record(name, sentence, Layout(fields=tuple(fields), flags=()))
 
 
 def struct_source(record: Record) -> str:
-    """Constants and struct of a record."""
+    """Return constants and struct of a record."""
     lines = [*_constants(record), "", comment(record.sentence), "typedef struct {"]
     if record.layout.has_mask:
         lines += ["    uint8_t mask; /* which fields are present, and flags */"]
@@ -50,7 +50,7 @@ def struct_source(record: Record) -> str:
 
 
 def members(declared: WireField) -> tuple[str, ...]:
-    """The members that hold a field."""
+    """Return the members that hold a field."""
     c_type = C_TYPES[declared.code]
     if declared.is_rest:
         return f"const {c_type} *{declared.name}", f"size_t {declared.name}_size"
@@ -104,7 +104,7 @@ def raw_limits(declared: WireField) -> tuple[int, int]:
 
 
 def _first_allowed(declared: WireField, near: int, step: int) -> int:
-    """The number at a limit: the outermost that, times the scale, the declaration accepts."""
+    """Return the number at a limit: the outermost that, times the scale, the declaration accepts."""
     scale = 1 if declared.scale is None else declared.scale
     within = (number for number in (near - step, near, near + step) if _is_within(declared, number * scale))
     return next(within)

@@ -9,7 +9,7 @@ from firmware_protocol.fields import INTEGER_RANGE, MaskFlag, WireField
 
 
 def si_source(record: Record) -> str:
-    """Conversions of every scaled field; for inertial readings also what sets a field as a whole."""
+    """Return conversions of every scaled field; for inertial readings also what sets a field as a whole."""
     parts = []
     for declared in record.layout.fields:
         if declared.scale is None:
@@ -40,7 +40,7 @@ def _to_and_from(record: Record, declared: WireField, saturates: bool) -> str:
 
 
 def _setters(record: Record, declared: WireField, flag: MaskFlag) -> str:
-    """Functions that set all components, from steps and from SI, and mark what is beyond the range."""
+    """Return functions that set all components, from steps and from SI, and mark what is beyond the range."""
     name = c_name(record.name, "set", declared.name)
     note = (
         f"Puts a reading into a sample, in steps or in {declared.unit}; beyond the range as its end, clipped."

@@ -43,7 +43,7 @@ _LINE_WIDTH = 110
 
 
 def ascii_text(text: str) -> str:
-    """Text in ASCII. Raises ValueError for a character that has no spelling."""
+    """Return text in ASCII. Raises ValueError for a character that has no spelling."""
     for letter, spelling in _ASCII.items():
         text = text.replace(letter, spelling)
     if not text.isascii():
@@ -57,54 +57,54 @@ def snake(name: str) -> str:
 
 
 def c_name(*words: str) -> str:
-    """A name of the header: ``mocap_inertial_sample``."""
+    """Return a name of the header: ``mocap_inertial_sample``."""
     return "_".join((PREFIX, *map(snake, words)))
 
 
 def macro_name(*words: str) -> str:
-    """A constant of the header: ``MOCAP_KIND_HEALTH``."""
+    """Return a constant of the header: ``MOCAP_KIND_HEALTH``."""
     return c_name(*words).upper()
 
 
 def slug(meaning: str) -> str:
-    """The name of a constant from the first words of what it stands for."""
+    """Return the name of a constant from the first words of what it stands for."""
     head = re.split(r"[,;:(.]", ascii_text(meaning))[0]
     return re.sub(r"\W+", "_", head.strip()).upper()
 
 
 def comment(text: str, indent: str = "") -> str:
-    """A block comment, wrapped."""
+    """Return a block comment, wrapped."""
     width = _COMMENT_WIDTH - len(indent)
     lines = textwrap.wrap(ascii_text(text), width=width - 6, break_on_hyphens=False)
     return f"{indent}/* " + f"\n{indent} * ".join(lines) + " */"
 
 
 def heading(text: str) -> str:
-    """The line above a section of the header."""
+    """Return the line above a section of the header."""
     return f"/* ---- {text} ".ljust(_COMMENT_WIDTH - 3, "-") + " */"
 
 
 def type_suffix(declared: WireField) -> str:
-    """What the functions for one element end in: ``i16``."""
+    """Return what the functions for one element end in: ``i16``."""
     return TYPE_NAMES[declared.code]
 
 
 def literal(number: int, code: str) -> str:
-    """An integer constant of the layout code's type that every C compiler takes without a warning."""
+    """Return an integer constant of the layout code's type that every C compiler takes without a warning."""
     if code in INTEGER_RANGE and INTEGER_RANGE[code][0] < 0:
         return f"(-{-number - 1} - 1)" if number == -(2**31) else str(number)
     return f"{number}ull" if number >= 2**32 else f"{number}u"
 
 
 def define(name: str, value: str, note: str = "") -> str:
-    """A constant with what it stands for."""
+    """Return a constant with what it stands for."""
     line = f"#define {name} {value}"
     beside = f"{line} /* {ascii_text(note)} */" if note else line
     return beside if len(beside) <= _LINE_WIDTH else f"{comment(note)}\n{line}"
 
 
 def wrapped(line: str) -> list[str]:
-    """A line of code, cut at spaces where it is too long."""
+    """Return a line of code, cut at spaces where it is too long."""
     if len(line) <= _LINE_WIDTH:
         return [line]
     indent = line[: len(line) - len(line.lstrip())]

@@ -81,7 +81,7 @@ void samples_on_timer(void) {
     last_timer_us = now;
     take(now, sequence++, false);
     advance();
-    /* Instants that passed while interrupts were held up have no sample, and the gap in the numbers shows it. */
+    /* Instants that passed while interrupts were delayed have no sample, and the gap in the numbers shows it. */
     while ((int32_t)(now - due) >= 0) {
         ++sequence;
         ++counts.failed;

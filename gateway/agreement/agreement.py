@@ -119,7 +119,7 @@ def agreement(
 
 
 def _joint_errors(q: FloatArray, q_reference: FloatArray, parents: tuple[int, ...]) -> FloatArray:
-    """(T, S) rad between the rotations against the parent; NaN without one."""
+    """Return (T, S) rad between the rotations against the parent; NaN without one."""
     result = np.full(q.shape[:2], np.nan)
     for s, parent in enumerate(parents):
         if parent >= 0:

@@ -19,7 +19,7 @@ from gateway.contract.messages import (
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 
-_TELLING = frozenset(STATUS_NAMES[status] for status in TELLING)
+_MEASURED = frozenset(STATUS_NAMES[status] for status in TELLING)
 
 
 class PoseWindow:
@@ -58,24 +58,25 @@ class PoseWindow:
             names=names,
             parents=tuple(names.index(each.parent) if each.parent else -1 for each in body.segments),
             time_s=time_s,
-            q_wb=_array([[_told(pose, name) for name in names] for pose in poses], 4),
+            q_wb=_array([[_orientation(pose, name) for name in names] for pose in poses], 4),
             p_w=_array([[(pose.position or {}).get(name) for name in names] for pose in poses], 3),
         )
 
 
-def _told(pose: PoseMessage, segment: str) -> tuple[float, ...] | None:
-    """An orientation that was seen, not only held or predicted."""
-    return pose.segments.get(segment) if pose.status.get(segment) in _TELLING else None
+def _orientation(pose: PoseMessage, segment: str) -> tuple[float, ...] | None:
+    """Return the orientation where it was measured; None where it was only held or predicted."""
+    return pose.segments.get(segment) if pose.status.get(segment) in _MEASURED else None
 
 
 def _array(rows: list[list[tuple[float, ...] | None]], width: int) -> FloatArray:
-    """(T, S, width); null is NaN."""
+    """Return (T, S, width); null is NaN."""
     unknown = (math.nan,) * width
     return np.array([[value or unknown for value in row] for row in rows], dtype=np.float64)
 
 
 def comparison_message(found: Agreement, first_ns: int, second: str, window_s: float) -> ComparisonMessage:
-    """What is published of it. first_ns: instant of the first's newest pose; second: name of that gateway."""
+    """Return what is published of it. first_ns: instant of the first's newest pose; second: name of that
+    gateway."""
     return ComparisonMessage(
         t_ns=first_ns,
         second=second,

@@ -44,7 +44,7 @@ class TimeAlignment:
     """Of the angular speeds at that lag, −1 … 1."""
 
     def of_second(self, time_s: FloatArray) -> FloatArray:
-        """Instants (T,) of the first on the second's clock, s."""
+        """Return instants (T,) of the first on the second's clock, s."""
         later: FloatArray = time_s + self.lag_s + self.drift_ppm * 1e-6 * (time_s - self.middle_s)
         return later
 
@@ -132,7 +132,7 @@ def _by_agreement(a: FloatArray, b: FloatArray, shift: int) -> tuple[FloatArray,
 
 
 def _refined(score: FloatArray, allowed: NDArray[np.bool_], best: int) -> float:
-    """Index of the highest top near ``best``, between samples."""
+    """Return index of the highest top near ``best``, between samples."""
     reach = round(_REFINED_S * RATE_HZ)
     near = np.abs(np.arange(len(score)) - best) <= reach
     usable = near & allowed & np.isfinite(score)
@@ -175,7 +175,7 @@ def _correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _vertex(score: FloatArray, best: int) -> float:
-    """Where the parabola through the largest value and its neighbours has its top, −0.5 … 0.5."""
+    """Return where the parabola through the largest value and its neighbours has its top, −0.5 … 0.5."""
     if not 0 < best < len(score) - 1:
         return 0.0
     left, middle, right = score[best - 1 : best + 2]

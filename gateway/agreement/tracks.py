@@ -60,7 +60,7 @@ def tracks_of(arrays: SkeletonArrays, origin_ns: int, source: str) -> Tracks:
 
 
 def selected(tracks: Tracks, names: Sequence[str]) -> Tracks:
-    """These segments only, in this order; a parent that is left out is replaced by its own."""
+    """Return these segments only, in this order; a parent that is left out is replaced by its own."""
     columns = [tracks.names.index(name) for name in names]
 
     def kept_parent(segment: int) -> int:
@@ -79,7 +79,7 @@ def selected(tracks: Tracks, names: Sequence[str]) -> Tracks:
 
 
 def pairs_of(first: Tracks, second: Tracks, renamed: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Segments that belong together: by ``renamed`` (first's name → second's), else by equal names.
+    """Return segments that belong together: by ``renamed`` (first's name → second's), else by equal names.
 
     Raises ``GatewayError`` when a name is not there, or nothing belongs together.
     """
@@ -107,7 +107,7 @@ def resampled(tracks: Tracks, time_s: FloatArray) -> Tracks:
 
 
 def _neighbours(times: FloatArray, time_s: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Index of the instants before and after, and the weight of the latter; NaN weight across gaps."""
+    """Return index of the instants before and after, and the weight of the latter; NaN weight across gaps."""
     after: IntArray = np.clip(np.searchsorted(times, time_s), 1, len(times) - 1)
     gap = times[after] - times[after - 1]
     weight = (time_s - times[after - 1]) / gap

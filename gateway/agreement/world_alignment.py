@@ -64,7 +64,8 @@ def align_world(q: FloatArray, q_reference: FloatArray, with_mounting: bool = Tr
 
 
 def align_segments(q: FloatArray, q_reference: FloatArray, with_mounting: bool = True) -> WorldAlignment:
-    """The same with a heading of its own for every segment: for modules in a field that is not homogeneous.
+    """Return the same with a heading of its own for every segment: for modules in a field that is not
+    homogeneous.
 
     The common heading is the mean of all.
     """
@@ -90,8 +91,8 @@ def aligned(q: FloatArray, alignment: WorldAlignment) -> FloatArray:
 
 
 def _scatter(q: FloatArray, q_reference: FloatArray) -> FloatArray:
-    """(16, 16) second moments of the products of components, estimate's by reference's: all that the rounds
-    need."""
+    """Return (16, 16) second moments of the products of components, estimate's by reference's: all that the
+    rounds need."""
     products = (q[:, :, None] * q_reference[:, None, :]).reshape(-1, 16)
     result: FloatArray = products.T @ products
     return result
@@ -122,7 +123,8 @@ def _best_heading_and_mountings(scatters: list[FloatArray]) -> tuple[float, list
 
 
 def _by_heading(scatter: FloatArray) -> FloatArray:
-    """(3, 4, 4) factors of cos², cos sin and sin² of half the heading in the scatter of the mountings."""
+    """Return (3, 4, 4) factors of cos², cos sin and sin² of half the heading in the scatter of the
+    mountings."""
     turn = np.einsum("cer,rhw->hcew", _PRODUCT * _CONJUGATE[:, None], _PRODUCT * _CONJUGATE[:, None])
     level, upright = turn[0].reshape(4, 16), turn[3].reshape(4, 16)
     crossed = level @ scatter @ upright.T
@@ -130,14 +132,15 @@ def _by_heading(scatter: FloatArray) -> FloatArray:
 
 
 def _at(moments: FloatArray, headings: FloatArray) -> FloatArray:
-    """(S, H, 4, 4) scatters of the mountings (S, 3, 4, 4) for headings (H,) rad."""
+    """Return (S, H, 4, 4) scatters of the mountings (S, 3, 4, 4) for headings (H,) rad."""
     c, s = np.cos(0.5 * headings), np.sin(0.5 * headings)
     result: FloatArray = np.einsum("kh,skij->shij", np.stack([c * c, c * s, s * s]), moments)
     return result
 
 
 def place_aligned(p: FloatArray, p_reference: FloatArray) -> FloatArray:
-    """Points (T, S, 3) turned about the vertical and moved as a whole, as near as can be to the others."""
+    """Return points (T, S, 3) turned about the vertical and moved as a whole, as near as can be to the
+    others."""
     known = np.isfinite(p).all(axis=2) & np.isfinite(p_reference).all(axis=2)
     if not known.any():
         return np.full_like(p, np.nan)

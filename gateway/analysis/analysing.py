@@ -17,8 +17,7 @@ from gateway.analysis.inverse_dynamics import Dynamics, inverse_dynamics
 from gateway.analysis.joint_torques import angle_axes, joint_torques
 from gateway.analysis.plates import LEVEL_M, measured_floor
 from gateway.analysis.smooth_motion import SmoothMotion, smooth_motion
-from gateway.analysis.trust import WHOLE_BODY
-from gateway.analysis.trust import told as told_notes
+from gateway.analysis.trust import WHOLE_BODY, trust_notes
 from gateway.body.inertia import BodyInertia
 from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
@@ -126,14 +125,15 @@ def analyse_motion(
     tell: Tell | None = None,
 ) -> Analysis:
     """As ``analyse``, of a motion that is smooth already."""
-    told = tell or (lambda _: lambda _done, _total: None)
+    progress_of = tell or (lambda _: lambda _done, _total: None)
     skeleton = motion.skeleton
-    free = inverse_dynamics(motion, inertia, gravity, progress=told("inverse dynamics without the floor"))
+    progress = progress_of("inverse dynamics without the floor")
+    free = inverse_dynamics(motion, inertia, gravity, progress=progress)
     known = None
     if measured is not None:
         known = measured_floor(measured.plates, measured.vertical, motion, free, motion.cutoff_hz)
-    floor = _floor(motion, free, known, inertia, told)
-    dynamics = inverse_dynamics(motion, inertia, gravity, floor, told("inverse dynamics"))
+    floor = _floor(motion, free, known, inertia, progress_of)
+    dynamics = inverse_dynamics(motion, inertia, gravity, floor, progress_of("inverse dynamics"))
     q_wb = motion.orientations()
     angles = joint_angles(skeleton, q_wb)
     rates, accelerations = _derivatives(motion.time_s, angles)
@@ -143,19 +143,19 @@ def analyse_motion(
     return Analysis(
         name, skeleton, motion, inertia, angles, rates, accelerations, axes, torques,
         _power(skeleton, motion, dynamics), floor, dynamics,
-        tuple(told_notes(motion, inertia, floor, dynamics, weight_n)),
+        tuple(trust_notes(motion, inertia, floor, dynamics, weight_n)),
     )  # fmt: skip
 
 
 def _floor(
-    motion: SmoothMotion, free: Dynamics, known: FloorForces | None, inertia: BodyInertia, told: Tell
+    motion: SmoothMotion, free: Dynamics, known: FloorForces | None, inertia: BodyInertia, progress_of: Tell
 ) -> FloorForces:
     """Measured where it was, estimated elsewhere if the body is whole, has feet, and the floor is level."""
     on = feet(motion.skeleton)
     frames = len(motion.time_s)
     is_level = known is None or np.ptp(known.height_m) < LEVEL_M
     if len(on) and inertia.share > WHOLE_BODY and is_level:
-        return estimated_floor(motion, free, known, progress=told("floor forces"))
+        return estimated_floor(motion, free, known, progress=progress_of("floor forces"))
     if known is not None:
         return with_unknown(motion, free, known)
     nothing = np.zeros((frames, len(on), 3))

@@ -21,7 +21,7 @@ from gateway.analysis.inverse_dynamics import Dynamics, Progress
 from gateway.analysis.smooth_motion import SmoothMotion
 from gateway.frames import FloatArray, IntArray
 
-_FRAMES_A_TELLING = 64
+_FRAMES_A_REPORT = 64
 _STANDS = 0.5
 """From this sureness of one of its points on a foot stands."""
 _MOST_STEPS = 4000
@@ -96,7 +96,7 @@ def estimated_floor(
                 moment[f, c] += np.cross(at, load)
         loaded = (force[f, :, 2] > LEAST_FORCE_N) & (source[f] == Source.NONE)
         source[f, loaded] = Source.ESTIMATED
-        if progress is not None and f % _FRAMES_A_TELLING == 0:
+        if progress is not None and f % _FRAMES_A_REPORT == 0:
             progress(f, frames)
     shown = np.full(source.shape, height) if known is None else known.height_m
     return FloorForces(segments, force, moment, source, shown, () if known is None else known.notes)

@@ -14,7 +14,7 @@ from gateway.body.inertia import BodyInertia
 from gateway.frames import FloatArray
 
 Progress = Callable[[int, int], None]
-_FRAMES_A_TELLING = 64
+_FRAMES_A_REPORT = 64
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def inverse_dynamics(
             forces -= solver.applied(segment, floor.force[f, c], floor.moment[f, c])
         moment[f], left[f] = solver.moments(forces), solver.root_force(forces)
         (p_w[f], turned[f]), (com[f], com_velocity[f]) = solver.places(), solver.centre_of_mass()
-        if progress is not None and f % _FRAMES_A_TELLING == 0:
+        if progress is not None and f % _FRAMES_A_REPORT == 0:
             progress(f, frames)
     root = int(np.flatnonzero(motion.skeleton.parents < 0)[0])
     return Dynamics(moment, left, moment[:, root].copy(), p_w, turned, com, com_velocity)

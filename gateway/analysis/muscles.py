@@ -23,7 +23,7 @@ Progress = Callable[[int, int], None]
 ASKED = {"thorax": 3, "thigh": 3, "shank": 1, "foot": 2}
 """How many of a joint's angles muscles move, by its distal segment: a knee's ligaments take what would bend
 it sideways or twist it, the bones of the ankle what would twist it."""
-_FRAMES_A_TELLING = 16
+_FRAMES_A_REPORT = 16
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def find_muscles(
         arms[f] = moment_arms(paths, asked, found.dynamics.rotation_wb[f], found.axes[f], flexion)
         lengths[f] = paths.lengths()
         drawn.append(tuple(paths.polylines()))
-        if progress is not None and f % _FRAMES_A_TELLING == 0:
+        if progress is not None and f % _FRAMES_A_REPORT == 0:
             progress(f, 2 * frames)
     share = force_shares(paths, lengths, found.time_s, chosen.curves)
     bias = np.where(chosen.is_force, np.clip(chosen.bias / share, 0.0, 1.0), chosen.bias)
@@ -100,7 +100,7 @@ def find_muscles(
     for f in range(frames):
         wanted = np.array([found.torques[f, j, k] for j, k in asked])
         activity[f], left[f] = solver.solve(arms[f] * share[f], wanted, bias[f], chosen.weight[f])
-        if progress is not None and f % _FRAMES_A_TELLING == 0:
+        if progress is not None and f % _FRAMES_A_REPORT == 0:
             progress(frames + f, 2 * frames)
     return MuscleResult(names, largest, share, activity, tuple(drawn), asked, arms, left)
 

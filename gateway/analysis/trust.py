@@ -17,7 +17,7 @@ _STAYS_M, _MOVES_M = 1e-4, 0.05
 """A root that moves less while a foot moves more hangs from a point."""
 
 
-def told(
+def trust_notes(
     motion: SmoothMotion, inertia: BodyInertia, floor: FloorForces, dynamics: Dynamics, weight_n: float
 ) -> list[str]:
     """What a reader must know before the numbers. weight_n: of the body's segments."""

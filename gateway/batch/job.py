@@ -81,7 +81,7 @@ class Outcome:
 
 
 def partial_folder(job: Job, process: int | None) -> Path:
-    """Where a process has what it makes until all of it is there."""
+    """Return where a process has what it makes until all of it is there."""
     return job.folder / f".partial-{process}-{job.source.stem}"
 
 

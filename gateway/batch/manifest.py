@@ -35,7 +35,7 @@ class Manifest:
                 continue
 
     def is_done(self, job: Job) -> bool:
-        """Whether the same was made of the same recording, and is still there."""
+        """Return whether the same was made of the same recording, and is still there."""
         entry = self._entries.get(job.name)
         if entry is None or entry.get("error") or entry.get("task") != job.task.key:
             return False

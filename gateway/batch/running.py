@@ -28,7 +28,8 @@ DIED = "the process that worked on it died (out of memory?)"
 
 
 def jobs_in(folder: Path, results: Path, task: Task) -> list[Job]:
-    """A job for every recording in a folder and those below it, later parts of sessions left to their first.
+    """Return a job for every recording in a folder and those below it, later parts of sessions left to their
+    first.
 
     Raises ``GatewayError`` when there is none.
     """

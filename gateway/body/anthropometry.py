@@ -77,7 +77,7 @@ class Subject(BaseModel):
 
 
 def scaled(skeleton: Skeleton, subject: Subject, where: str = "subject") -> Skeleton:
-    """The skeleton with the subject's lengths: first all by stature, then those that were measured.
+    """Return the skeleton with the subject's lengths: first all by stature, then those that were measured.
 
     A measured segment takes the joints that hang on it along. Raises ``SettingsError``, which begins with
     ``where``, for a length that the body does not have.
@@ -132,7 +132,8 @@ def lengths_of(skeleton: Skeleton) -> dict[str, float]:
 
 
 def segment_masses(skeleton: Skeleton, mass_kg: float, sex: str | None = None) -> FloatArray:
-    """(n_segments,) kg. NaN for a segment that the tables do not have (shoulder girdles count as thorax)."""
+    """Return (n_segments,) kg. NaN for a segment that the tables do not have (shoulder girdles count as
+    thorax)."""
     masses = np.full(skeleton.n_segments, np.nan)
     for i, name in enumerate(skeleton.segment_names):
         fractions = MASS_OF_BODY.get(_without_side(name))
@@ -143,7 +144,7 @@ def segment_masses(skeleton: Skeleton, mass_kg: float, sex: str | None = None) -
 
 
 def _meant(skeleton: Skeleton, name: str, where: str) -> list[int]:
-    """The segments of a name with or without side."""
+    """Return the segments of a name with or without side."""
     names = skeleton.segment_names
     found = [i for i, segment in enumerate(names) if name in (segment, _without_side(segment))]
     found = [i for i in found if np.linalg.norm(skeleton.tips[i]) > 0.0]
@@ -175,7 +176,7 @@ def _set_width(
 
 
 def _ancestors(skeleton: Skeleton, segment: int) -> list[int]:
-    """A segment, its parent, and so on."""
+    """Return a segment, its parent, and so on."""
     chain = []
     while segment >= 0:
         chain.append(segment)

@@ -53,7 +53,7 @@ class Bones:
 
 
 def bones_of(skeleton: Skeleton) -> Bones:
-    """The bones of a skeleton: at least one a segment, be it a point."""
+    """Return the bones of a skeleton: at least one a segment, be it a point."""
     segments: list[int] = []
     ends: list[NDArray[np.float64]] = []
     for s in range(skeleton.n_segments):
@@ -82,7 +82,7 @@ def _length(v: FloatArray) -> float:
 
 
 def _from_x_axis(direction: FloatArray) -> FloatArray:
-    """The shortest rotation that takes x to a unit vector."""
+    """Return the shortest rotation that takes x to a unit vector."""
     x, y, z = direction
     if x < -1.0 + 1e-9:
         return np.array([0.0, 0.0, 0.0, 1.0])

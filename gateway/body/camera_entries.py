@@ -32,13 +32,14 @@ class CameraEntry(BaseModel):
     reprojection_px: float | None = Field(default=None, ge=0, description="RMS of the calibration")
 
     def camera(self, where: str) -> Camera:
-        """The camera; where: the file, for errors. Raises ``SettingsError`` when there can be none such."""
+        """Return the camera; where: the file, for errors. Raises ``SettingsError`` when there can be none
+        such."""
         arrays = (np.array(each) for each in (self.matrix, self.distortion, self.rotation, self.translation))
         return checked(Camera(self.name, *self.size, *arrays), where)
 
 
 def entry_of(camera: Camera) -> dict[str, Any]:
-    """A camera as the content of an entry, every number in full."""
+    """Return a camera as the content of an entry, every number in full."""
     return {
         "name": camera.name,
         "size": [camera.width, camera.height],
@@ -50,7 +51,7 @@ def entry_of(camera: Camera) -> dict[str, Any]:
 
 
 def checked(camera: Camera, where: str) -> Camera:
-    """The camera, if it can be one. Raises ``SettingsError`` naming what cannot be."""
+    """Return the camera, if it can be one. Raises ``SettingsError`` naming what cannot be."""
     numbers = [camera.matrix, camera.distortion, camera.rotation, camera.translation]
     if not all(np.isfinite(values).all() for values in numbers):
         raise SettingsError(f"{where}: camera '{camera.name}' has numbers that are not finite")

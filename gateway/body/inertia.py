@@ -86,7 +86,7 @@ class BodyInertia:
 
 
 def body_inertia(skeleton: Skeleton, body_kg: float, sex: str | None = None) -> BodyInertia:
-    """A person's inertia. sex: ``male``, ``female``, or None for the mean of both tables.
+    """Return a person's inertia. sex: ``male``, ``female``, or None for the mean of both tables.
 
     Raises ``GatewayError`` for a body with no segment that the tables know.
     """
@@ -103,21 +103,21 @@ def body_inertia(skeleton: Skeleton, body_kg: float, sex: str | None = None) -> 
     if not limbs:
         raise GatewayError(
             f"body '{skeleton.name}' has no segment of a person ({', '.join(MASS_OF_BODY)}): tell what its "
-            "segments weigh with --inertia FILE (docs/analysis.md has one)"
+            "segments weigh with --inertia FILE (docs/guide/analysis.md has one)"
         )
     _add_trunk(found, skeleton, sex)
     return found
 
 
 def part_name(segment: str) -> str:
-    """The segment's name without its side."""
+    """Return the segment's name without its side."""
     for side in SIDES:
         segment = segment.removeprefix(side)
     return segment
 
 
 def leg_stature(skeleton: Skeleton) -> float | None:
-    """Height of a person with these thighs and shanks (Drillis & Contini), m; None without them."""
+    """Return height of a person with these thighs and shanks (Drillis & Contini), m; None without them."""
     lengths = {
         part: [
             float(np.linalg.norm(tip))
@@ -133,7 +133,7 @@ def leg_stature(skeleton: Skeleton) -> float | None:
 
 
 def neutral_positions(skeleton: Skeleton) -> FloatArray:
-    """(S, 3) m, proximal joints in the neutral posture, in the axes that all segments share there."""
+    """Return (S, 3) m, proximal joints in the neutral posture, in the axes that all segments share there."""
     placed = np.zeros((skeleton.n_segments, 3))
     for s, parent in enumerate(skeleton.parents.tolist()):
         if parent >= 0:
@@ -170,7 +170,7 @@ def _add_trunk(found: BodyInertia, skeleton: Skeleton, sex: str | None) -> None:
 def _carrier(
     names: tuple[str, ...], placed: FloatArray, part: str, height: float, up: FloatArray
 ) -> int | None:
-    """The segment that a part of the trunk is fixed to; None where the body has none."""
+    """Return the segment that a part of the trunk is fixed to; None where the body has none."""
     if part == "lower_trunk":
         return names.index("pelvis")
     column = [names.index(name) for name in _COLUMN if name in names]
@@ -196,13 +196,13 @@ def _add(found: BodyInertia, s: int, kg: float, begin: FloatArray, end: FloatArr
 
 
 def _parallel(kg: float, offset: FloatArray) -> FloatArray:
-    """(3, 3) what a point mass adds to the inertia about a point that it is off."""
+    """Return (3, 3) what a point mass adds to the inertia about a point that it is off."""
     added: FloatArray = kg * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     return added
 
 
 def _extent(skeleton: Skeleton, s: int) -> tuple[FloatArray, FloatArray]:
-    """Where a part begins and ends, (3,) m in segment axes."""
+    """Return where a part begins and ends, (3,) m in segment axes."""
     tip = skeleton.tips[s]
     if part_name(skeleton.segment_names[s]) != "foot":
         return np.zeros(3), tip

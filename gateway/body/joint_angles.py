@@ -1,7 +1,7 @@
 """Joint angles from segment orientations: ISB conventions, instant by instant.
 
 The definitions (segments, order of rotations, positive directions) are data: see ``config/bodies/`` and
-docs/joint_angles.md. Angles are in radians here; outputs give degrees.
+docs/reference/joint_angles.md. Angles are in radians here; outputs give degrees.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class JointAngles:
         self._before[:] = np.nan
 
     def update(self, q_wb: FloatArray) -> JointAngleFrame:
-        """The angles of one instant. q_wb: (n_segments, 4), NaN rows where not known."""
+        """Return the angles of one instant. q_wb: (n_segments, 4), NaN rows where not known."""
         turned, lock = _joint_angles(
             q_wb, self._neutral, self._ends, self._kinds, self._axes, self._hinges, self._before,
             self._turned_limits,
@@ -83,7 +83,7 @@ class JointAngles:
 
 
 def joint_angles(skeleton: Skeleton, q_wb: FloatArray) -> FloatArray:
-    """Angles over time: q_wb (T, n_segments, 4) to (T, n_joints, 3), rad."""
+    """Return angles over time: q_wb (T, n_segments, 4) to (T, n_joints, 3), rad."""
     stream = JointAngles(skeleton)
     return np.stack([stream.update(pose).angles for pose in q_wb])
 

@@ -32,7 +32,7 @@ _SWING_TWIST = int(Decomposition.SWING_TWIST)
 
 @compiled
 def nearest_turn(angle: float, to: float) -> float:
-    """The angle plus whole turns that is nearest ``to``; rad."""
+    """Return the angle plus whole turns that is nearest ``to``; rad."""
     return angle - _TURN * math.floor((angle - to) / _TURN + 0.5)
 
 
@@ -144,7 +144,7 @@ def _middle(limits: FloatArray) -> float:
 
 @compiled
 def _brought_back(angle: float, limits: FloatArray) -> float:
-    """A limited angle that has gone round by more than a turn, back by whole turns."""
+    """Return a limited angle that has gone round by more than a turn, back by whole turns."""
     if not math.isfinite(limits[0] + limits[1]) or abs(angle - _middle(limits)) <= _TURN:
         return angle
     return nearest_turn(angle, _middle(limits))
@@ -165,7 +165,7 @@ def _distance(a: FloatArray, b: FloatArray) -> float:
 
 @compiled
 def _excess(angles: FloatArray, limits: FloatArray) -> float:
-    """How far outside the limits, squared; among equals the one nearer their middles."""
+    """Return how far outside the limits, squared; among equals the one nearer their middles."""
     total = 0.0
     for i in range(3):
         out = max(limits[i, 0] - angles[i], angles[i] - limits[i, 1], 0.0)

@@ -44,7 +44,7 @@ class AngleEntry(_Strict):
         return value
 
     def vector(self) -> Vector3:
-        """The axis as a unit vector."""
+        """Return the axis as a unit vector."""
         if isinstance(self.axis, str):
             unit = [0.0, 0.0, 0.0]
             unit["xyz".index(self.axis[-1])] = -1.0 if self.axis[0] == "-" else 1.0
@@ -107,7 +107,7 @@ def joints_of(
     segments: Sequence[str],
     chosen: Mapping[str, str] | None = None,
 ) -> tuple[Joint, ...]:
-    """The joints of a body file. Raises ``SettingsError`` naming the joint and the remedy.
+    """Return the joints of a body file. Raises ``SettingsError`` naming the joint and the remedy.
 
     segments: names in order. chosen: joint name to the name of one of its alternatives.
     """

@@ -14,7 +14,7 @@ from gateway.geometry.compiled import compiled
 def joint_positions(
     parents: IntArray, offsets: FloatArray, q_wb: FloatArray, root_position: FloatArray
 ) -> FloatArray:
-    """Where each segment's proximal joint is, in world coordinates, m; (n_segments, 3).
+    """Return where each segment's proximal joint is, in world coordinates, m; (n_segments, 3).
 
     parents: (n_segments,) index of the parent segment, -1 for the root; parents come first.
     offsets: (n_segments, 3) joint centre in the parent segment's axes, m.
@@ -44,6 +44,6 @@ def joint_positions_into(
 
 
 def lowest_point(skeleton: Skeleton, q_wb: FloatArray, p_w: FloatArray) -> float:
-    """Height of the lowest joint or tip of a pose, m; q_wb (s, 4), p_w (s, 3) without NaN."""
+    """Return height of the lowest joint or tip of a pose, m; q_wb (s, 4), p_w (s, 3) without NaN."""
     tips = [p + quaternion.rotate(q, tip) for q, p, tip in zip(q_wb, p_w, skeleton.tips, strict=True)]
     return float(min(np.min(p_w[:, 2]), np.min(np.array(tips)[:, 2])))

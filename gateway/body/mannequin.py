@@ -19,7 +19,7 @@ SIDES = ("trunk", "left", "right", "face")
 
 
 def _spindle() -> tuple[FloatArray, IntArray]:
-    """Vertices (n, 3) of a closed spindle along x from −1 to 1, thicker at −1, and faces (m, 3)."""
+    """Return vertices (n, 3) of a closed spindle along x from −1 to 1, thicker at −1, and faces (m, 3)."""
     angle = 2.0 * np.pi * np.arange(_AROUND) / _AROUND
     x = -np.cos(np.pi * np.arange(1, _ALONG) / _ALONG)
     radius = (1.0 - np.abs(x) ** 2.6) ** 0.5 * (1.0 - 0.14 * x)
@@ -78,7 +78,8 @@ _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def mannequin_of(skeleton: Skeleton) -> Mannequin | None:
-    """The mannequin of a person's skeleton; None for a body that is none, which is shown by its bones."""
+    """Return the mannequin of a person's skeleton; None for a body that is none, which is shown by its
+    bones."""
     names = skeleton.segment_names
     if "pelvis" not in names or not any(name.endswith("_thigh") for name in names):
         return None
@@ -141,7 +142,8 @@ def _times(size: float, of: tuple[float, float, float]) -> tuple[float, float, f
 
 
 def _along(direction: FloatArray) -> FloatArray:
-    """The turn from the spindle to a direction in segment axes; what hangs down keeps its depth forward."""
+    """Return the turn from the spindle to a direction in segment axes; what hangs down keeps its depth
+    forward."""
     if direction[1] < -0.9:
         return _DOWN
     across = np.cross([1.0, 0.0, 0.0], direction)

@@ -11,7 +11,7 @@ from gateway.body.skeleton import Interpolation, Skeleton
 
 
 def reduced(skeleton: Skeleton, worn: list[int]) -> Skeleton:
-    """The body without what lies beyond the worn segments: they, and all between them."""
+    """Return the body without what lies beyond the worn segments: they, and all between them."""
     chains = [_ancestors(skeleton, segment) for segment in worn]
     shared = set(chains[0]).intersection(*chains[1:])
     root = max(shared)  # parents stand before their children

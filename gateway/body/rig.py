@@ -220,13 +220,14 @@ class RigFile(_Strict):
 def load_body(
     name: str, beside: Path | None = None, joint_definitions: Mapping[str, str] | None = None
 ) -> Skeleton:
-    """A body by name or path, its joints by the definitions chosen. Raises ``SettingsError``."""
+    """Return a body by name or path, its joints by the definitions chosen. Raises ``SettingsError``."""
     path = find_file(name, "bodies", beside)
     return skeleton_of(load_settings(path, BodyFile), path, joint_definitions)
 
 
 def skeleton_of(body: BodyFile, path: Path, joint_definitions: Mapping[str, str] | None = None) -> Skeleton:
-    """The skeleton that the content of a file describes. Raises ``SettingsError``, which names ``path``."""
+    """Return the skeleton that the content of a file describes. Raises ``SettingsError``, which names
+    ``path``."""
     names = [segment.name for segment in body.segments]
     parents = []
     for position, segment in enumerate(body.segments):
@@ -287,7 +288,7 @@ def _refuse_unknown_neighbours(path: Path, body: BodyFile) -> None:
 
 
 def load_rig(name: str, beside: Path | None = None) -> WornSuit:
-    """A rig by name or path; a fitted subject (`optical fit`) is one too, of markers.
+    """Return a rig by name or path; a fitted subject (`optical fit`) is one too, of markers.
 
     Raises ``SettingsError`` naming the file, the entry and the remedy."""
     from gateway.body.subject_file import is_subject, load_subject  # noqa: PLC0415 - it needs this module
@@ -348,7 +349,7 @@ def _sun(rig: RigFile) -> SunCells | None:
 
 
 def worn_without_modules(skeleton: Skeleton, markers: BodyMarkers, world: WorldSettings) -> WornSuit:
-    """A body that wears markers, and no module."""
+    """Return a body that wears markers, and no module."""
     n, field = skeleton.n_segments, world.magnetic_field
     return WornSuit(
         skeleton=skeleton,

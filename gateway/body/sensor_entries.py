@@ -61,7 +61,7 @@ class CalibrationEntry(_Strict):
 
     @classmethod
     def of(cls, model: SensorCalibration, measured: str | None = None, digits: int = 6) -> CalibrationEntry:
-        """A calibration as it is written to a rig file."""
+        """Return a calibration as it is written to a rig file."""
 
         def rounded(values: np.ndarray) -> list[object]:
             plain: list[object] = (np.round(values, digits) + 0.0).tolist()

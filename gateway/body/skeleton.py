@@ -61,7 +61,7 @@ class Skeleton:
         return len(self.segment_names)
 
     def index(self, segment: str) -> int:
-        """Index of a segment by name. Raises ``ValueError`` for an unknown one."""
+        """Return index of a segment by name. Raises ``ValueError`` for an unknown one."""
         return self.segment_names.index(segment)
 
 
@@ -165,7 +165,7 @@ class WornSuit:
 
 
 def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -> FloatArray:
-    """The local magnetic field in ENU, µT.
+    """Return the local magnetic field in ENU, µT.
 
     dip_deg: angle below the horizontal (positive in the northern hemisphere).
     declination_deg: magnetic north, clockwise from geographic north.
@@ -177,13 +177,13 @@ def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -
 
 
 def field_dip_deg(field: FloatArray) -> float:
-    """Its angle below the horizontal; field: (3,) ENU."""
+    """Return its angle below the horizontal; field: (3,) ENU."""
     east, north, up = field
     return float(np.degrees(np.arctan2(-up, np.hypot(east, north))))
 
 
 def remounted(suit: WornSuit, event: Mapping[str, Any]) -> WornSuit:
-    """The suit with its modules as a ``calibrated`` event says. Raises ``GatewayError``."""
+    """Return the suit with its modules as a ``calibrated`` event says. Raises ``GatewayError``."""
     rotations, places = suit.sensor_to_segment.copy(), suit.lever_arms.copy()
     try:
         for name, mounting in event["modules"].items():

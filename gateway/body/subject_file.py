@@ -61,12 +61,12 @@ class SubjectFile(_Strict):
 
 
 def is_subject(content: object) -> bool:
-    """Whether the content of a YAML file is a subject, and not a rig."""
+    """Return whether the content of a YAML file is a subject, and not a rig."""
     return isinstance(content, dict) and "subject" in content and "markers" in content
 
 
 def load_subject(path: Path) -> WornSuit:
-    """A suit of markers and no modules. Raises ``SettingsError`` naming the file, the entry and the
+    """Return a suit of markers and no modules. Raises ``SettingsError`` naming the file, the entry and the
     remedy."""
     file = load_settings(path, SubjectFile)
     skeleton = skeleton_of(file.body, path)
@@ -97,7 +97,7 @@ def subject_content(
     name: str, marker_set: str, body: dict[str, Any], skeleton: Skeleton, markers: BodyMarkers,
     fit: dict[str, Any], lengths: Mapping[str, float], angles: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """The content of a subject file. body: the skeleton as the content of a body file; angles: rad."""
+    """Return the content of a subject file. body: the skeleton as the content of a body file; angles: rad."""
     turned = {key: round(math.degrees(value), 4) for key, value in (angles or {}).items() if value}
     return {
         "subject": name,

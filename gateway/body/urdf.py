@@ -76,7 +76,7 @@ class ImportedRobot:
 
 
 def import_urdf(text: str, where: str = "URDF", has_fixed_base: bool = True) -> ImportedRobot:
-    """The robot of a URDF text as a body.
+    """Return the robot of a URDF text as a body.
 
     has_fixed_base: joints on the base turn against the world; otherwise against the base, which is then to
     carry a module. Raises ``SettingsError``, which begins with ``where``, for what is no URDF tree.
@@ -138,7 +138,7 @@ class _Builder:
         self.joints.append(self._entry(joint, segment, own, pose[:3, :3] @ joint.axis))
 
     def robot(self, name: str) -> ImportedRobot:
-        """All of it."""
+        """Return all of it."""
         segments = [self._segment_entry(segment) for segment in self._parents]
         content = {"name": name, "neutral": [1, 0, 0, 0], "segments": segments, "joints": self.joints}
         imported = ImportedRobot(content, self._segment, notes=self._notes)
@@ -288,7 +288,7 @@ def _named(element: Element, where: str) -> str:
 
 
 def _plain(name: str, taken: set[str]) -> str:
-    """A name in the letters of body files, unlike those taken."""
+    """Return a name in the letters of body files, unlike those taken."""
     plain = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_") or "part"
     plain = f"{plain}_link" if plain == "world" else plain
     unique, n = plain, 2

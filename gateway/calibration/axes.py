@@ -36,7 +36,8 @@ class MovementAxis:
 
 
 def movement_axis(angular_rate: FloatArray, interval_s: float) -> MovementAxis | None:
-    """The axis of a to-and-fro movement; angular_rate (n, 3) rad/s. None when nothing turned at all."""
+    """Return the axis of a to-and-fro movement; angular_rate (n, 3) rad/s. None when nothing turned at
+    all."""
     moving = np.linalg.norm(angular_rate, axis=1) > _SLOW
     if moving.sum() < 10:
         return None
@@ -70,7 +71,7 @@ class HingeAxes:
 
 
 def hinge_axes(first_rate: FloatArray, second_rate: FloatArray, interval_s: float) -> HingeAxes:
-    """Axes of a hinge between two modules, whatever else both do; rates (n, 3) rad/s.
+    """Return axes of a hinge between two modules, whatever else both do; rates (n, 3) rad/s.
 
     Raises ``ValueError`` when they hardly turn against each other or otherwise.
     """

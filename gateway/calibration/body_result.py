@@ -67,7 +67,7 @@ class BodyResult:
     def accepted(
         self, segments: Collection[str] | None = None, with_poor: bool = False
     ) -> list[ModuleResult]:
-        """Those to be used: found, not poor unless wanted, and of the segments given.
+        """Return those to be used: found, not poor unless wanted, and of the segments given.
 
         Raises ``GatewayError`` for a segment without module.
         """

@@ -131,7 +131,7 @@ class BodySession:
         ]
 
     def result(self) -> BodyResult:
-        """What the steps done so far give. Takes a second or two. Raises ``GatewayError``."""
+        """Return what the steps done so far give. Takes a second or two. Raises ``GatewayError``."""
         try:
             readings = readings_of(list(self._frames), self.suit)
             findings = [self._examine(readings, m) for m in range(len(self._segments))]
@@ -152,7 +152,7 @@ class BodySession:
         return tuple(chosen)
 
     def _examine(self, readings: Readings, module: int) -> ModuleFindings:
-        """All that one module did by itself."""
+        """Return all that one module did by itself."""
         segment = self.suit.skeleton.segment_names[self._segments[module]]
         found = ModuleFindings(segment, self.suit.module_ids[module])
         pose_spans = []
@@ -301,7 +301,7 @@ class BodySession:
 
 
 def _reached(told: set[int], equations: Mapping[int, JointEquations], parents: list[int]) -> set[int]:
-    """Segments whose heading is told, or can be had from a neighbour by the joint between them."""
+    """Return segments whose heading is told, or can be had from a neighbour by the joint between them."""
     reached = set(told)
     for _ in equations:
         for child in equations:

@@ -182,7 +182,7 @@ class _Unknowns:
         return found
 
     def with_measured_noise(self, x: FloatArray) -> _Unknowns:
-        """The same problem, joints weighted by what was left of them."""
+        """Return the same problem, joints weighted by what was left of them."""
         sigma = {child: max(rms, _FORCE_SIGMA) for child, rms in self.forces(x).items()}
         return _Unknowns(self.problem, self.used, sigma)
 
@@ -233,7 +233,7 @@ def _start(problem: Problem, used: list[int]) -> tuple[float, FloatArray, FloatA
 
 
 def _spread(told: Mapping[int, float], problem: Problem) -> dict[int, float]:
-    """Headings of further modules, from neighbour to neighbour, by their joints' accelerations."""
+    """Return headings of further modules, from neighbour to neighbour, by their joints' accelerations."""
     found = dict(told)
     for _ in problem.equations:
         for child, equations in problem.equations.items():
@@ -248,7 +248,7 @@ def _spread(told: Mapping[int, float], problem: Problem) -> dict[int, float]:
 
 
 def _bearing_of_axis(problem: Problem, pose: PoseTerm) -> float | None:
-    """How far the wearer is turned against the module's own level world, rad; None without an axis."""
+    """Return how far the wearer is turned against the module's own level world, rad; None without an axis."""
     found = []
     for term in problem.axes:
         if term.segment == pose.segment:
@@ -258,7 +258,7 @@ def _bearing_of_axis(problem: Problem, pose: PoseTerm) -> float | None:
 
 
 def _turns(angles: FloatArray) -> FloatArray:
-    """(n, 3, 3) about the vertical."""
+    """Return (n, 3, 3) about the vertical."""
     c, s, z, o = np.cos(angles), np.sin(angles), np.zeros_like(angles), np.ones_like(angles)
     return np.moveaxis(np.array([[c, -s, z], [s, c, z], [z, z, o]]), 2, 0)
 

@@ -110,7 +110,7 @@ class CalibrationControl:
         self._session = BodySession(self._pipeline.suit, request.field)
         self._pipeline.module_stage.on_frame = self._session.add
         self._phase = "ready"
-        return {"steps": _told(self._session)}
+        return {"steps": _steps_message(self._session)}
 
     def _needed(self) -> BodySession:
         if self._session is None:
@@ -153,7 +153,7 @@ class CalibrationControl:
             "phase": self._phase,
             "left_s": round(left, 1),
             "done": self._session.done,
-            "steps": _told(self._session),
+            "steps": _steps_message(self._session),
             "modules": [
                 {
                     "segment": names[m],
@@ -211,8 +211,8 @@ class CalibrationControl:
         return {"file": str(target), "version": version.stem}
 
 
-def _told(session: BodySession) -> list[dict[str, Any]]:
-    """Its steps, for whoever begins it or goes on with it."""
+def _steps_message(session: BodySession) -> list[dict[str, Any]]:
+    """Return its steps, for whoever begins it or goes on with it."""
     return [
         {"step": s.name, "kind": s.kind.value, "seconds": s.seconds, "instruction": s.instruction}
         for s in session.steps
@@ -220,7 +220,7 @@ def _told(session: BodySession) -> list[dict[str, Any]]:
 
 
 def _as_modules(suit: WornSuit) -> list[ModuleResult]:
-    """How a rig file says that modules sit."""
+    """Return how a rig file says that modules sit."""
     return [
         ModuleResult(
             suit.module_ids[row],

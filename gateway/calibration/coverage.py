@@ -15,7 +15,7 @@ _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 
 def _spiral(n: int) -> FloatArray:
-    """(n, 3) unit vectors spread evenly over the sphere (Fibonacci lattice; González 2010)."""
+    """Return (n, 3) unit vectors spread evenly over the sphere (Fibonacci lattice; González 2010)."""
     k = np.arange(n)
     z = 1.0 - (2.0 * k + 1.0) / n
     radius = np.sqrt(1.0 - z * z)
@@ -39,13 +39,13 @@ _SIDE_WIDTH = math.cos(math.radians(40.0))
 
 
 def cells_of(vectors: FloatArray) -> IntArray:
-    """(n,) the cell that each of (n, 3) vectors points into."""
+    """Return (n,) the cell that each of (n, 3) vectors points into."""
     cells: IntArray = np.argmax(vectors @ DIRECTIONS.T, axis=1)
     return cells
 
 
 def coverage(vectors: FloatArray, centre: FloatArray | None = None) -> float:
-    """Share of the sphere's cells, 0 to 1, that vectors (n, 3) seen from a centre point into."""
+    """Return share of the sphere's cells, 0 to 1, that vectors (n, 3) seen from a centre point into."""
     if len(vectors) == 0:
         return 0.0
     seen = vectors if centre is None else vectors - centre
@@ -53,7 +53,7 @@ def coverage(vectors: FloatArray, centre: FloatArray | None = None) -> float:
 
 
 def missing_sides(vectors: FloatArray, centre: FloatArray | None = None) -> list[str]:
-    """Axis directions such as ``-z`` within 40° of which there is no vector."""
+    """Return axis directions such as ``-z`` within 40° of which there is no vector."""
     if len(vectors) == 0:
         return list(SIDES)
     seen = vectors if centre is None else vectors - centre

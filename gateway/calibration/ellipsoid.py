@@ -61,13 +61,13 @@ class EllipsoidFit:
     """Share of directions seen, 0 to 1, of the corrected readings."""
 
     def corrected(self, readings: FloatArray) -> FloatArray:
-        """A (m − b); shape (n, 3)."""
+        """Return a (m − b); shape (n, 3)."""
         corrected: FloatArray = (readings - self.bias) @ self.matrix.T
         return corrected
 
 
 def fit_ellipsoid(readings: FloatArray, strength: float, shape: Shape = Shape.SYMMETRIC) -> EllipsoidFit:
-    """The correction that gives readings (n, 3) the length ``strength`` (their unit).
+    """Return the correction that gives readings (n, 3) the length ``strength`` (their unit).
 
     Raises ``ValueError`` when there are fewer readings than parameters, or they do not vary.
     """
@@ -109,7 +109,7 @@ def fit_ellipsoid(readings: FloatArray, strength: float, shape: Shape = Shape.SY
 
 
 def _start(readings: FloatArray, strength: float, shape: Shape) -> tuple[FloatArray, FloatArray]:
-    """Matrix and bias to begin with: the algebraic ellipsoid, or where it is no use the sphere."""
+    """Return matrix and bias to begin with: the algebraic ellipsoid, or where it is no use the sphere."""
     centre, radius = sphere(readings)
     ball = np.eye(3) * (strength / radius), centre
     if abs(shape.value) < len(np.triu_indices(3)[0]):
@@ -127,7 +127,7 @@ def _start(readings: FloatArray, strength: float, shape: Shape) -> tuple[FloatAr
 
 
 def sphere(readings: FloatArray) -> tuple[FloatArray, float]:
-    """Centre and radius of the algebraic least-squares sphere."""
+    """Return centre and radius of the algebraic least-squares sphere."""
     middle = readings.mean(axis=0)
     m = readings - middle
     design = np.column_stack([2.0 * m, np.ones(len(m))])
@@ -163,7 +163,7 @@ def _ellipsoid(readings: FloatArray) -> tuple[FloatArray, FloatArray] | None:
 
 
 def _positions(shape: Shape) -> tuple[IntArray, IntArray]:
-    """Rows and columns of the matrix's parameters."""
+    """Return rows and columns of the matrix's parameters."""
     rows, columns = np.triu_indices(3) if abs(shape.value) == 6 else (np.arange(3), np.arange(3))
     return rows.astype(np.int64), columns.astype(np.int64)
 

@@ -33,11 +33,11 @@ class Readings:
     R_es: FloatArray  # (T, M, 3, 3) sensor axes to a level world of the module's own heading
 
     def rows(self, span: Span) -> slice:
-        """The instants of a step."""
+        """Return the instants of a step."""
         return slice(*np.searchsorted(self.time_ns, [span[0], span[1] + 1]).tolist())
 
     def is_heard(self, module: int, span: Span) -> bool:
-        """Whether the module was heard through nearly all of a step."""
+        """Return whether the module was heard through nearly all of a step."""
         heard = self.heard[self.rows(span), module]
         return bool(len(heard)) and float(heard.mean()) >= _FEWEST
 
@@ -99,7 +99,7 @@ class Pose:
 
 
 def pose_of(readings: Readings, module: int, span: Span) -> Pose | None:
-    """None when the module was not heard."""
+    """Return None when the module was not heard."""
     if not readings.is_heard(module, span):
         return None
     rows = readings.rows(span)
@@ -127,7 +127,7 @@ def field_heading(
     field: FloatArray,
     others: Sequence[Span] = (),
 ) -> FieldHeading | None:
-    """Heading from the poses, changes from the other steps too. None without a magnetometer.
+    """Return heading from the poses, changes from the other steps too. None without a magnetometer.
 
     field: (3,) that of the earth, world.
     """

@@ -76,7 +76,8 @@ class JointEquations:
     """Instants."""
 
     def residuals(self, rho_1: FloatArray, rho_2: FloatArray, heading: float) -> FloatArray:
-        """(16,) m/s², squares summing up to all instants'; heading: the second's against the first's."""
+        """Return (16,) m/s², squares summing up to all instants'; heading: the second's against the
+        first's."""
         folded: FloatArray = self.triangle @ features(rho_1, rho_2, heading)
         return folded
 
@@ -86,7 +87,7 @@ class JointEquations:
 
 
 def features(rho_1: FloatArray, rho_2: FloatArray, heading: float) -> FloatArray:
-    """(16,) what the folded equations are linear in."""
+    """Return (16,) what the folded equations are linear in."""
     second = np.concatenate([[1.0], rho_2])
     turn = np.array([np.cos(heading), np.sin(heading), 1.0])
     return np.concatenate([[1.0], rho_1, np.outer(turn, second).ravel()])
@@ -103,7 +104,7 @@ def relative_heading(equations: JointEquations) -> float:
 
 
 def _left_at(equations: JointEquations, heading: float) -> float:
-    """Sum of squares left with the best ρ₁ and ρ₂."""
+    """Return sum of squares left with the best ρ₁ and ρ₂."""
     origin = features(np.zeros(3), np.zeros(3), heading)
     units = [features(unit[:3], unit[3:], heading) - origin for unit in np.eye(6)]
     design = equations.triangle @ np.stack(units, axis=1)

@@ -19,7 +19,7 @@ _DATE = r"\d{8}T\d{6}Z"
 
 
 def mounting_event(modules: Collection[ModuleResult]) -> dict[str, Any]:
-    """The data of a ``calibrated`` event: by segment, numbers that JSON keeps to the last bit."""
+    """Return the data of a ``calibrated`` event: by segment, numbers that JSON keeps to the last bit."""
     return {
         "modules": {
             module.segment: {
@@ -35,7 +35,8 @@ def mounting_event(modules: Collection[ModuleResult]) -> dict[str, Any]:
 def write_mounted_rig(
     source: Path, target: Path, modules: Collection[ModuleResult], now: datetime | None = None
 ) -> Path | None:
-    """The rig of ``source`` with its modules as found, as ``target``; an older one goes to the history.
+    """Return the rig of ``source`` with its modules as found, as ``target``; an older one goes to the
+    history.
 
     Where the older one is now; None when there was none. Raises ``SettingsError`` for a bad rig,
     ``GatewayError`` when a file cannot be written.
@@ -58,13 +59,13 @@ def write_mounted_rig(
 
 
 def worn_rig(source: Path) -> Path:
-    """Where a calibration of this rig goes unless told: the file itself, but never a shipped one."""
+    """Return where a calibration of this rig goes unless told: the file itself, but never a shipped one."""
     is_shipped = shipped_folder().resolve() in source.resolve().parents
     return Path(f"{source.stem}.worn.yaml") if is_shipped else source
 
 
 def history_folder(rig: Path) -> Path:
-    """Where earlier versions of a rig file are."""
+    """Return where earlier versions of a rig file are."""
     return rig.with_name(f"{rig.stem}.history")
 
 

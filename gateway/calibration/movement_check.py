@@ -101,7 +101,7 @@ class MovementCheck:
             seen.append(float(axis @ ahead) / length)
 
     def seen(self) -> list[Seen]:
-        """How every segment of the movement did, so far."""
+        """Return how every segment of the movement did, so far."""
         return [self._judged(name, forward) for name, forward in self._forward.items()]
 
     def _judged(self, name: str, forward: list[float]) -> Seen:

@@ -41,7 +41,7 @@ class StoredCamera:
 
 
 def read_opencv(path: Path) -> tuple[StoredCamera, ...]:
-    """All cameras of a file. Raises ``SettingsError`` naming what is missing."""
+    """Return all cameras of a file. Raises ``SettingsError`` naming what is missing."""
     storages = [_opened(path)]
     other = path.with_name(_HALVES.get(path.name, path.name))
     if other != path and other.is_file():

@@ -22,8 +22,8 @@ class SizeChange(StrEnum):
 
 
 def fitted(camera: Camera, width: int, height: int, change: SizeChange = SizeChange.NONE) -> Camera:
-    """The camera for pictures of width × height pixels. Raises ``SettingsError`` for another size than the
-    calibrated one with ``SizeChange.NONE``: what was done cannot be known from the sizes."""
+    """Return the camera for pictures of width × height pixels. Raises ``SettingsError`` for another size than
+    the calibrated one with ``SizeChange.NONE``: what was done cannot be known from the sizes."""
     if (width, height) == (camera.width, camera.height):
         return camera
     if change is SizeChange.NONE:

@@ -102,7 +102,7 @@ PROCEDURE: tuple[Step, ...] = (
 
 
 def procedure_for(skeleton: Skeleton) -> tuple[Step, ...]:
-    """The steps that tell something about this body. Raises ``GatewayError`` for other bodies."""
+    """Return the steps that tell something about this body. Raises ``GatewayError`` for other bodies."""
     names = set(skeleton.segment_names)
     if not names & {segment for step in PROCEDURE for segment in step.turns}:
         raise GatewayError(
@@ -117,7 +117,7 @@ def procedure_for(skeleton: Skeleton) -> tuple[Step, ...]:
 
 
 def pose_rotation(step: str, segment: str) -> FloatArray:
-    """(3,) rotation vector, segment axes, from the neutral posture to a pose, rad."""
+    """Return (3,) rotation vector, segment axes, from the neutral posture to a pose, rad."""
     part = segment.partition("_")[2]
     if step == "t_pose" and part in ("upper_arm", "forearm", "hand"):
         return np.array([np.pi / 2 if segment.startswith("left") else -np.pi / 2, 0.0, 0.0])

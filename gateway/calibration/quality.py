@@ -34,7 +34,7 @@ class Quality:
 
 
 def judged(*findings: Finding) -> Quality:
-    """The quality that findings add up to."""
+    """Return the quality that findings add up to."""
     ordered = sorted(findings, key=lambda finding: finding.score)
     return Quality(ordered[0].score, tuple(f.reason for f in ordered if f.score < GOOD))
 

@@ -100,7 +100,7 @@ class RestDetector:
 
 
 def _is_still(values: FloatArray) -> bool:
-    """Whether (n, 2, 3) readings of specific force and angular rate are of a module at rest."""
+    """Return whether (n, 2, 3) readings of specific force and angular rate are of a module at rest."""
     force_sigma, rate_sigma = values.std(axis=0).max(axis=1)
     turning = np.abs(values[:, 1].mean(axis=0)).max()
     return bool(force_sigma < FORCE_SIGMA and rate_sigma < RATE_SIGMA and turning < LARGEST_BIAS)

@@ -89,10 +89,10 @@ class SensorControl:
             "advice": advice.key,
             "waited_for": list(advice.modules),
             "enough": all(session.is_enough(one) for one in progress.values()),
-            "modules": [self._told(session, module, one) for module, one in progress.items()],
+            "modules": [self._module_message(session, module, one) for module, one in progress.items()],
         }
 
-    def _told(self, session: SensorSession, module: int, one: Progress) -> dict[str, Any]:
+    def _module_message(self, session: SensorSession, module: int, one: Progress) -> dict[str, Any]:
         suit = self._suit()
         row = suit.module_ids.index(module)
         names = zip(suit.module_of_segment, suit.skeleton.segment_names, strict=True)

@@ -151,7 +151,7 @@ class SensorSession:
         return 6 if self._has_cube else POSITIONS_FOR_ALL
 
     def is_enough(self, progress: Progress) -> bool:
-        """Whether a module has shown all that its sensors need."""
+        """Return whether a module has shown all that its sensors need."""
         return (
             ("gyroscope" not in self.sensors or progress.rest_s >= REST_S)
             and (
@@ -186,7 +186,7 @@ class SensorSession:
 
 
 def combined(results: dict[str, Result | str], kept: SensorCalibration | None = None) -> SensorCalibration:
-    """The calibration that results add up to; sensors without one keep what ``kept`` says."""
+    """Return the calibration that results add up to; sensors without one keep what ``kept`` says."""
     kept = kept or SensorCalibration()
     rate, force, magnetic = (results.get(sensor) for sensor in SENSORS)
     fields: dict[str, FloatArray] = {}
@@ -208,7 +208,7 @@ class Advice(NamedTuple):
 
 
 def advice_on(session: SensorSession, progress: Mapping[int, Progress]) -> Advice:
-    """What to do next, by how far all modules are."""
+    """Return what to do next, by how far all modules are."""
     heard = [one for one in progress.values() if one.samples]
     if not heard:
         return Advice("listen")
@@ -225,7 +225,7 @@ def advice_on(session: SensorSession, progress: Mapping[int, Progress]) -> Advic
 
 
 def usable(results: dict[str, Result | str], with_poor: bool) -> dict[str, Result | str]:
-    """Those results that may be used."""
+    """Return those results that may be used."""
     return {
         sensor: result
         for sensor, result in results.items()
@@ -234,7 +234,7 @@ def usable(results: dict[str, Result | str], with_poor: bool) -> dict[str, Resul
 
 
 def results_as_json(found: Mapping[int, Mapping[str, Result | str]]) -> dict[str, dict[str, object]]:
-    """Results by module and sensor, for scripts and messages; SI units, µT."""
+    """Return results by module and sensor, for scripts and messages; SI units, µT."""
     return {str(module): {s: _as_json(r) for s, r in results.items()} for module, results in found.items()}
 
 

@@ -45,7 +45,7 @@ class EllipsoidResult:
 
 
 def gyroscope_bias(stretches: Sequence[RestStretch], wanted_s: float = 3.0) -> GyroscopeResult:
-    """The bias from all stretches at rest. Raises ``ValueError`` when there is none."""
+    """Return the bias from all stretches at rest. Raises ``ValueError`` when there is none."""
     if not stretches:
         raise ValueError("the module never lay still for a second")
     weights = [stretch.duration_s for stretch in stretches]
@@ -81,7 +81,7 @@ def _wander(stretches: Sequence[RestStretch], bias: FloatArray) -> float:
 
 
 def rest_positions(stretches: Sequence[RestStretch]) -> FloatArray:
-    """(n, 3) mean specific forces of different positions; stretches within 15° count as one."""
+    """Return (n, 3) mean specific forces of different positions; stretches within 15° count as one."""
     positions: list[tuple[float, FloatArray]] = []
     for stretch in stretches:
         force, weight = stretch.specific_force, stretch.duration_s

@@ -54,7 +54,9 @@ class Consistency:
         """Raises ``GatewayError`` for cameras that are not synchronised, or not those of the calibration."""
         if self.offsets:
             name = max(self.offsets, key=lambda each: abs(self.offsets[each]))
-            rest = "".join(f", '{each}' {_told(n)} them" for each, n in self.offsets.items() if each != name)
+            rest = "".join(
+                f", '{each}' {_offset(n)} them" for each, n in self.offsets.items() if each != name
+            )
             earliest = min(0, *self.offsets.values())
             cure = " ".join(
                 f"--offset {each}={self.offsets.get(each, 0) - earliest}"
@@ -63,7 +65,7 @@ class Consistency:
             )
             others = "the others" if len(self.names) > 2 else "the other"
             raise GatewayError(
-                f"the cameras are not synchronised: camera '{name}' is {_told(self.offsets[name])} {others}"
+                f"the cameras are not synchronised: camera '{name}' is {_offset(self.offsets[name])} {others}"
                 f"{rest} (rays through one keypoint swing by {1e3 * self.unrest:.0f} mm, so shifted by "
                 f"{1e3 * self.unrest_shifted:.0f} mm): {cure}"
             )
@@ -82,7 +84,7 @@ class Consistency:
             )
 
 
-def _told(offset: int) -> str:
+def _offset(offset: int) -> str:
     n = abs(offset)
     return f"{n} picture{'s' if n > 1 else ''} {'behind' if offset > 0 else 'ahead of'}"
 

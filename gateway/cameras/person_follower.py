@@ -17,7 +17,7 @@ from gateway.reconstruction.video.region import PersonRegion, region_of_maps
 class Order:
     """Where one person will be in one picture of one camera, as far as the pose tells."""
 
-    is_told: bool = False
+    is_ordered: bool = False
     """False: no pose is known, the camera follows by itself."""
     region: PersonRegion | None = None
     """Told None: the camera does not see the person."""
@@ -37,7 +37,7 @@ class PersonFollower:
 
     def heat_maps(self, picture: Picture, order: Order | None = None) -> CameraHeatMaps | None:
         """Of the person; None when nobody is seen. One who was lost is looked for where they were last."""
-        if order is not None and order.is_told:
+        if order is not None and order.is_ordered:
             self._region = order.region
             if order.region is None:
                 return None

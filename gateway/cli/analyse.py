@@ -106,8 +106,8 @@ def analyse_file(
     if folder.exists() and not force:
         raise GatewayError(f"{folder} exists: name another folder with --output, or add to it with --force")
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell_read:
-        arrays, suit, told_kg = _motion(file, subject, person, tell_read)
-    weighed = _inertia(arrays.skeleton, mass or told_kg, sex, inertia, file)
+        arrays, suit, recorded_kg = _motion(file, subject, person, tell_read)
+    weighed = _inertia(arrays.skeleton, mass or recorded_kg, sex, inertia, file)
     measured = _measured(file, forces, suit)
     with progress_bar("torques", is_shown=not as_json) as tell:
         found = analyse(arrays, file.stem, weighed, suit.gravity, cutoff or None, measured, lambda _: tell)
@@ -139,7 +139,7 @@ def _write(
 
 
 def _muscles(found: Analysis, muscles: str, tell: Callable[[int, int], None]) -> MuscleResult | None:
-    """Those asked for; None where none were, or none were asked for and the body has no legs."""
+    """Return those asked for; None where none were, or none were asked for and the body has no legs."""
     from gateway.analysis.muscle_settings import load_costs
     from gateway.analysis.muscles import find_muscles, has_muscles
 
@@ -160,7 +160,7 @@ def _muscles(found: Analysis, muscles: str, tell: Callable[[int, int], None]) ->
 def _motion(
     file: Path, subject: str | None, person: str | None, tell: Callable[[int, int], None]
 ) -> tuple[SkeletonArrays, WornSuit, float | None]:
-    """The poses, who made them, and the mass that the file tells, kg."""
+    """Return the poses, who made them, and the mass that the file tells, kg."""
     from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
     from devices.marker_files import read_markers
     from gateway.body.rig import load_rig
@@ -202,7 +202,7 @@ def _inertia(
 
 
 def _measured(file: Path, forces: str, suit: WornSuit) -> MeasuredForces | None:
-    """The plates asked for; None where there are none and none were asked for."""
+    """Return the plates asked for; None where there are none and none were asked for."""
     from devices.marker_files.force_plates import read_force_plates
     from devices.marker_files.ground_reaction import SUFFIXES as REACTION_SUFFIXES
     from devices.marker_files.ground_reaction import read_ground_reactions

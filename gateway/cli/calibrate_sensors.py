@@ -201,7 +201,7 @@ def sensors(
 
 
 def _about_the_field(dip_deg: float, worn: WornSuit, *, is_written: bool) -> str:
-    """A line about the local field: who tells headings by it should know it."""
+    """Return a line about the local field: who tells headings by it should know it."""
     had = field_dip_deg(worn.magnetic_field)
     found = f"the field points {dip_deg:.1f}° below the horizontal here"
     if abs(dip_deg - had) < _SAME_DIP_DEG:
@@ -289,7 +289,7 @@ def _rig_and_links(suit: SuitChoice) -> tuple[str, Sequence[LinkSettings]]:
 
 
 def _target(source: Path, suit: SuitChoice, output: Path | None, force: bool, flash: bool) -> Path | None:
-    """The rig file to write; None when the modules themselves are written to."""
+    """Return the rig file to write; None when the modules themselves are written to."""
     if flash:
         if not suit.allow_writes:
             raise GatewayError("--flash changes what modules keep: give --allow-writes too")

@@ -136,7 +136,7 @@ def _refuse(option: str, given: Mapping[str, object]) -> None:
 
 
 def _recorded(path: Path, is_shown: bool) -> SkeletonArrays:
-    """The poses of a recording, with a progress bar if wanted. Raises ``GatewayError``."""
+    """Return the poses of a recording, with a progress bar if wanted. Raises ``GatewayError``."""
     from gateway.recording import open_recording
 
     with progress_bar(f"reading {path.name}", is_shown=is_shown) as tell:
@@ -230,7 +230,7 @@ def _hint(found: Agreement, separate: Agreement) -> None:
 
 
 def _notes(found: Agreement) -> list[str]:
-    """What was aligned, as sentences."""
+    """Return what was aligned, as sentences."""
     drift = f", and runs {found.time.drift_ppm:+.1f} ppm against it" if found.time.drift_ppm else ""
     said = [
         f"The second's clock shows {found.time.lag_s:+.4f} s more than the first's{drift} "
@@ -246,7 +246,7 @@ def _notes(found: Agreement) -> list[str]:
 
 
 def _rows(found: Agreement) -> list[tuple[str, ...]]:
-    """The table, in the columns of ``_HEADS``, numbers as text."""
+    """Return the table, in the columns of ``_HEADS``, numbers as text."""
     return [
         (
             figures.segment,
@@ -271,7 +271,7 @@ def _rows(found: Agreement) -> list[tuple[str, ...]]:
 
 
 def _plain(found: Agreement) -> dict[str, Any]:
-    """All figures, for JSON."""
+    """Return all figures, for JSON."""
     return {
         "time": asdict(found.time),
         "heading_deg": found.heading_deg,
@@ -394,7 +394,7 @@ async def _say(
 
 
 async def _found(wanted: Live, poses: PoseSubscriber, windows: Mapping[str, PoseWindow]) -> Agreement | str:
-    """The agreement over the window, or why there is none."""
+    """Return the agreement over the window, or why there is none."""
     from gateway.agreement.time_alignment import SHORTEST_OVERLAP_S
 
     for name, window in windows.items():
@@ -409,7 +409,7 @@ async def _found(wanted: Live, poses: PoseSubscriber, windows: Mapping[str, Pose
 
 
 async def _publish(settings: MqttSettings, topics: Topics, message: ComparisonMessage) -> list[str]:
-    """What went wrong, if anything: a broker that refuses does not end the comparison."""
+    """Return what went wrong, if anything: a broker that refuses does not end the comparison."""
     from gateway.outputs.connection import broker_connection, explain, unique_identifier
 
     try:

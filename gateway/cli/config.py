@@ -54,7 +54,7 @@ def _tell_unobserved(headings: Mapping[str, tuple[int, ...]]) -> None:
     Console().print(
         "[yellow]note[/yellow]: where modules have no gyroscopes, 'articulated' does not observe, at rest in "
         f"the neutral posture, the heading of: {told}. North is 0°, east 90°. Such a module wants "
-        "gyroscopes, or to sit on the joint, or more to one side of it; see docs/gyro_free.md",
+        "gyroscopes, or to sit on the joint, or more to one side of it; see docs/guide/gyro_free.md",
         soft_wrap=True,
         highlight=False,
     )

@@ -24,7 +24,7 @@ from rich.table import Table
 from devices.extras import how_to_add
 from devices.link import gateway_time_ns
 from gateway.body.skeleton import WornSuit
-from gateway.cli.preparing import stand_in, told_when_compiling
+from gateway.cli.preparing import report_compiling, stand_in
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.geometry.comparison import orientation_error, rmse_deg
@@ -158,7 +158,7 @@ def demo(
         usual = settings.reconstructor
         if reconstructor is None:
             settings = _startable(settings, tell)
-        with told_when_compiling(tell):
+        with report_compiling(tell):
             awaited = usual if settings.reconstructor != usual else None
             service = Service(settings, suit, awaited=awaited)
         service.own_requests.on_examine = partial(examined, service)
@@ -176,7 +176,8 @@ def demo(
 
 
 def _startable(settings: GatewaySettings, tell: Callable[[str], object]) -> GatewaySettings:
-    """The settings; where their reconstructor is not compiled yet, with another, and it is for next time."""
+    """Return the settings; where their reconstructor is not compiled yet, with another, and it is for next
+    time."""
     from gateway.service import readiness
 
     usual = settings.reconstructor
@@ -260,7 +261,7 @@ async def _emulator(settings: GatewaySettings, imperfections: str) -> AsyncItera
 
 
 def _sampling_mode(settings: GatewaySettings) -> str:
-    """What the emulated modules are to be set to."""
+    """Return what the emulated modules are to be set to."""
     if settings.reconstructor in FUSED:
         return "fused"
     return "triggered" if settings.clock.mode is ClockMode.TRIGGER else "raw"
@@ -364,7 +365,7 @@ def _print_errors(truth: Truth, console: Console) -> None:
 
 
 def _free_port(preferred: int) -> int:
-    """The preferred port of the loopback interface, or another one when it is taken."""
+    """Return the preferred port of the loopback interface, or another one when it is taken."""
     for port in (preferred, 0):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

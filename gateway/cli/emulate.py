@@ -200,8 +200,8 @@ def plan_of(source: object) -> FaultPlan:
     return source.plan if isinstance(source, FaultySuit) else FaultPlan()
 
 
-def told(source: object) -> str:
-    """What befell a suit, for whoever started it."""
+def fault_summary(source: object) -> str:
+    """List the faults that a suit had, for the last line of the command."""
     if not isinstance(source, FaultySuit):
         return ""
     befell = ", ".join(f"{kind} {count}" for kind, count in sorted(source.counts.items()))
@@ -261,7 +261,7 @@ EXPLANATION = (
 )
 
 
-_DEEDS: dict[str, tuple[str, Callable[[SuitTraffic, int | str, float], None]]] = {
+_ACTIONS: dict[str, tuple[str, Callable[[SuitTraffic, int | str, float], None]]] = {
     "shake": ("is shaken", lambda traffic, which, at_s: traffic.shake(which, at_s, _SHAKEN_S)),
     "tap": ("is tapped", lambda traffic, which, at_s: traffic.tap(which, at_s)),
     "press": ("has its button pressed", lambda traffic, which, at_s: traffic.press_button(which, at_s)),
@@ -291,16 +291,16 @@ async def obey_typed_lines(suit: EmulatedSuit, traffic: SuitTraffic, *, is_quiet
 
 def _do(line: str, suit: EmulatedSuit, traffic: SuitTraffic) -> tuple[str, bool]:
     """Return what to say, and whether something is done."""
-    deed, _, name = line.partition(" ")
-    if deed not in _DEEDS:
-        return f"'{deed}' is unknown; {EXPLANATION}", False
+    action, _, name = line.partition(" ")
+    if action not in _ACTIONS:
+        return f"'{action}' is unknown; {EXPLANATION}", False
     which: int | str = int(name) if name.isdecimal() else "_".join(name.split())
     try:
         device = traffic.device(which)
     except KeyError:
         worn = map(str, traffic.motion.body.segment_names)
         return f"no module is on '{name.strip()}'{nearest(str(which), worn)}", False
-    says, act = _DEEDS[deed]
+    says, act = _ACTIONS[action]
     suit.do(lambda: act(traffic, which, suit.motion_time_s(gateway_time_ns()) + _SOON_S))
     return f"module {device.module_id} ({device.unique_id.hex()}) {says}", True
 
@@ -348,7 +348,7 @@ def _encoding(wanted: Emulation) -> Encoding:
 
 
 def _played(wanted: Emulation) -> Iterable[Transmission]:
-    """A real recording. Raises ``GatewayError`` where it cannot be read."""
+    """Return a real recording. Raises ``GatewayError`` where it cannot be read."""
     if wanted.faults is not None:
         raise GatewayError("--faults needs a suit that moves: a recording only plays")
     assert wanted.recording is not None
@@ -356,7 +356,7 @@ def _played(wanted: Emulation) -> Iterable[Transmission]:
 
 
 def _worn(wanted: Emulation) -> Conversation:
-    """A suit on a moving body, with its faults. Raises ``GatewayError``."""
+    """Return a suit on a moving body, with its faults. Raises ``GatewayError``."""
     if wanted.speaks is not None and wanted.speaks not in VOICES:
         raise GatewayError(f"--speaks {wanted.speaks}: unknown{nearest(wanted.speaks, VOICES)}")
     if wanted.imperfections not in PRESETS:
@@ -400,7 +400,7 @@ def _suit_settings(wanted: Emulation, suit: WornSuit) -> SuitSettings:
 
 
 def _motion(wanted: Emulation, suit: WornSuit) -> BodyMotion:
-    """What the wearer does. Raises ``GatewayError`` for modules that cannot be worn as told."""
+    """Return what the wearer does. Raises ``GatewayError`` for modules that cannot be worn as told."""
     body = dress(suit)
     if wanted.strap_on is StrapOn.RANDOM:
         body = strapped_on(body, wanted.seed)
@@ -441,7 +441,7 @@ def _transport(wanted: Emulation) -> Transport:
 
 
 def _transport_of_each(wanted: Emulation, spoken: SpokenSuit) -> LinkPerDevice:
-    """A link a module: ports one after the other, links to pseudo-terminals named for the modules."""
+    """Return a link a module: ports one after the other, links to pseudo-terminals named for the modules."""
     _refuse_medium(wanted, spoken)
     if all(voice.speaks_as_one for voice in spoken.voices.values()):
         return LinkPerDevice(dict.fromkeys(spoken.voices, _transport(wanted)))
@@ -501,7 +501,7 @@ def _play(
         counts = suit.counts
         Console().print(
             f"sent {counts.sent_bytes} bytes; {counts.dropped_bytes} dropped because nobody read them"
-            f"{told(source)}"
+            f"{fault_summary(source)}"
         )
 
 

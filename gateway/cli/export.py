@@ -100,7 +100,7 @@ def export(
 
 
 def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: bool) -> Path:
-    """Where a format goes. Raises ``GatewayError`` if that would overwrite something."""
+    """Return where a format goes. Raises ``GatewayError`` if that would overwrite something."""
     suffix = FORMATS[name].suffix
     if output is None:
         path = file.with_suffix(suffix)

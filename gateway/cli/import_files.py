@@ -80,7 +80,7 @@ def import_files(
     """Make a recording of other makers' files: Xsens, MVNX, BVH, x-IMU3, Movella DOT, OpenSense, CSV.
 
     The samples become packets of our own modules, so all that works with a recording works with it: replay,
-    re-solving, export, report. docs/imports.md has every format.
+    re-solving, export, report. docs/guide/imports.md has every format.
     """
     from gateway.imports.formats import ReadOptions, detected, read
     from gateway.imports.segment_names import read_maps
@@ -116,7 +116,7 @@ def import_files(
 def _suit(
     recording: Recording, name: str, maps: Mapping[str, str], wanted: Import
 ) -> tuple[WornSuit, list[str]]:
-    """The suit, and what the user should know of it. maps: module to segment."""
+    """Return the suit, and what the user should know of it. maps: module to segment."""
     from gateway.body.rig import load_body, load_rig
     from gateway.imports.segment_names import mapped_segments
     from gateway.imports.suits import Worn, dressed

@@ -226,7 +226,7 @@ def main() -> None:
 
 
 def _user_errors() -> tuple[type[Exception], ...]:
-    """Errors that the user can put right. Imported when one comes: ``--help`` needs no devices."""
+    """Return errors that the user can put right. Imported when one comes: ``--help`` needs no devices."""
     from devices.device_errors import DeviceError
     from devices.link import LinkError
 

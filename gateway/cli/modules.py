@@ -429,7 +429,7 @@ class _Fitting:
                 return "done"
 
     async def _next_sign(self) -> dict[str, Any] | str | None:
-        """The module that moved, or a key, or None when the time is over.
+        """Return the module that moved, or a key, or None when the time is over.
 
         A key that was typed while the module of the segment before was looked for counts too.
         """

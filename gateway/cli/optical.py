@@ -228,7 +228,7 @@ def uneven_sides(lengths_mm: Mapping[str, float]) -> list[tuple[str, str]]:
 
 
 def _worn(found: Fit, name: str) -> str:
-    """Labels of the markers on a segment."""
+    """Return labels of the markers on a segment."""
     segment = found.skeleton.segment_names.index(name)
     on = zip(found.markers.labels, found.markers.segments, strict=True)
     return " ".join(label for label, where in on if where == segment)
@@ -537,7 +537,7 @@ async def _serve(
         raise GatewayError(f"{host}:{port} cannot be served: {error.strerror or error}") from error
     typer.echo(
         f"{file}: {trial.n_frames} frames at {trial.rate_hz:g} Hz as QTM streams them; "
-        f"a gateway hears them with the link qtm://{host}:{stand_in.port}; Ctrl-C ends",
+        f"a gateway receives them with the link qtm://{host}:{stand_in.port}; Ctrl-C ends",
         err=True,
     )
     loop = asyncio.get_running_loop()

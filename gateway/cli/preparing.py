@@ -23,7 +23,7 @@ _USUAL = "compiling the reconstruction once, for up to a minute; later starts fi
 
 
 @contextlib.contextmanager
-def told_when_compiling(tell: Callable[[str], object], line: str = _USUAL) -> Iterator[None]:
+def report_compiling(tell: Callable[[str], object], line: str = _USUAL) -> Iterator[None]:
     """Around work that calls kernels: one line when the first of them is not in the cache, one at the end.
 
     Nothing is said when all of them come from the cache. Numba is imported: for where it is needed anyway.
@@ -83,7 +83,7 @@ def make_ready(reconstructor: str) -> None:
     from gateway.service import readiness
 
     if reconstructor == OPTICAL:
-        with told_when_compiling(partial(typer.echo, err=True)):
+        with report_compiling(partial(typer.echo, err=True)):
             warm_up()
     elif not readiness.is_ready(reconstructor):
         typer.echo(

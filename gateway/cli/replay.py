@@ -162,7 +162,7 @@ def replay(
 
 
 def _note_others(recording: Recording, source: Source) -> None:
-    """Says where the poses in the file are not those that are played."""
+    """Say where the poses in the file are not those that are played."""
     if source.smoothed:
         typer.echo("note: poses are played as they came live; the smoothed ones stand in the file", err=True)
     if recording.meta.solved_by:
@@ -181,7 +181,7 @@ def _source(
     smooth: bool | None = None,
     delay_ms: float | None = None,
 ) -> Source:
-    """What to solve with: as recorded, but for what was asked otherwise."""
+    """Return what to solve with: as recorded, but for what was asked otherwise."""
     from gateway.body.rig import load_rig
     from gateway.recording.solving import Source
 
@@ -248,7 +248,7 @@ def _verify(recording: Recording, as_json: bool) -> None:
 
 
 def _reasons(recording: Recording) -> list[str]:
-    """What may have made the difference."""
+    """Return what may have made the difference."""
     from gateway.recording.snapshot import host
 
     reasons = []

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from gateway.cli.preparing import make_ready, stand_in, told_when_compiling
+from gateway.cli.preparing import make_ready, report_compiling, stand_in
 from gateway.errors import GatewayError
 from gateway.service.systemd import feed_watchdog, notify
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
@@ -57,8 +57,8 @@ def run(
 
 
 def _load(config: Path, awaited: str | None = None) -> Service:
-    """The service that a configuration describes, or what stands in for it while its method ``awaited`` is
-    compiled. Raises ``GatewayError`` with what is wrong in it."""
+    """Return the service that a configuration describes, or what stands in for it while its method
+    ``awaited`` is compiled. Raises ``GatewayError`` with what is wrong in it."""
     from gateway.body.rig import load_rig
     from gateway.service.further_bodies import further_bodies
     from gateway.service.service import Service
@@ -68,7 +68,7 @@ def _load(config: Path, awaited: str | None = None) -> Service:
     others = further_bodies(settings, config)
     if awaited is not None:
         settings = stand_in(settings, log.info)
-    with told_when_compiling(log.info):
+    with report_compiling(log.info):
         return Service(settings, suit, awaited=awaited, others=others, config=config)
 
 
@@ -134,7 +134,7 @@ class _Supervisor:
         await self._load_next()
 
     async def _run_once(self) -> bool:
-        """One service to its end; True if another one follows."""
+        """Return one service to its end; True if another one follows."""
         from gateway.doctor.inside import examined
         from gateway.doctor.port_choice import PortChoice
         from gateway.service.service import Service
@@ -210,7 +210,7 @@ class _Supervisor:
             asyncio.get_running_loop().call_later(switch_after_s, self._task.cancel)
 
     async def _prepared(self) -> Service:
-        """The service that the file describes now, ready to run. Raises ``GatewayError``."""
+        """Return the service that the file describes now, ready to run. Raises ``GatewayError``."""
         try:
             service = await asyncio.to_thread(_load, self._config)
             await service.prepare(self._service)
@@ -264,7 +264,7 @@ def record(
     suit = load_rig(settings.rig, config)
     set_up_logging(settings.log.level, settings.log.format)
     make_ready(fitting_suit(settings, suit).reconstructor)
-    with told_when_compiling(partial(typer.echo, err=True)):
+    with report_compiling(partial(typer.echo, err=True)):
         service = Service(settings, suit, others=further_bodies(settings, config))
     service.own_requests.on_examine = partial(examined, service)
     asyncio.run(_record(service, settings, seconds, None if quiet else Console(stderr=True)))

@@ -132,7 +132,7 @@ def _in_order(places: Sequence[str], known: list[str], calibration: Path) -> dic
 
 
 def _speaks_of(path: Path, name: str) -> bool:
-    """Whether the camera's name stands in the file's as a word of its own."""
+    """Return whether the camera's name stands in the file's as a word of its own."""
     return re.search(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])", path.stem) is not None
 
 

@@ -156,7 +156,8 @@ def _imported(
 
 
 def _real_people(captured: list[Instants], cameras: Sequence[Camera]) -> list[Instants]:
-    """Those whose rays meet; the first one in any case. Two cameras may each have seen something else."""
+    """Return those whose rays meet; the first one in any case. Two cameras may each have seen something
+    else."""
     from gateway.cameras.consistency import consistency_of
 
     real = [messages for messages in captured[1:] if consistency_of(cameras, messages).is_one_person]
@@ -168,7 +169,8 @@ def _real_people(captured: list[Instants], cameras: Sequence[Camera]) -> list[In
 def _people(
     captured: Sequence[Instants], target: Path, subject: Path | None, *, force: bool
 ) -> Iterator[tuple[Instants, Path, Path | None]]:
-    """What is seen of each, and where recording and person go. Raises ``GatewayError`` where they may not."""
+    """Yield what is seen of each, and where recording and person go. Raises ``GatewayError`` where they may
+    not."""
     places = _places(target, len(captured), force=force)
     people = [None] * len(captured) if subject is None else _named(subject, len(captured))
     yield from zip(captured, places, people, strict=True)
@@ -188,7 +190,7 @@ def _named(path: Path, n: int) -> list[Path]:
 
 
 def _target(files: Sequence[str], output: Path | None, to: Sequence[str]) -> Path:
-    """Where the recording goes. Raises ``GatewayError`` when a format is unknown."""
+    """Return where the recording goes. Raises ``GatewayError`` when a format is unknown."""
     for name in to:
         if name not in FORMATS:
             raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
@@ -204,7 +206,7 @@ def _written(
     offline: bool,
     is_shown: bool,
 ) -> SolvedVideo:
-    """The recording, in the place of an older one."""
+    """Return the recording, in the place of an older one."""
     from gateway.recording.video import write_offline_video, write_solved_video
 
     target.unlink(missing_ok=True)

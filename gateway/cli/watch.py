@@ -133,7 +133,7 @@ def _screen(poses: PoseSubscriber, views: dict[str, PoseView], wanted: Watch) ->
 
 
 def _shown(view: PoseView, now_ns: int, state: str, wanted: Watch) -> RenderableType:
-    """One gateway as the user wants to see it."""
+    """Return one gateway as the user wants to see it."""
     from gateway.viewer.pose_table import joint_table
 
     if not wanted.with_joints or view.last is None:

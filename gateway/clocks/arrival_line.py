@@ -133,6 +133,7 @@ class ArrivalClock:
         self._shortest_ns = max(0, min(round_trip_ns, known_ns))
 
     def figures(self) -> ClockFigures:
-        """How far instants can be off by the way alone, and by how much arrivals are late on average."""
+        """Return how far instants can be off by the way alone, and by how much arrivals are late on
+        average."""
         bound_us = None if self._shortest_ns is None else 0.5e-3 * self._shortest_ns
         return ClockFigures(0, 0.0, residual_us=self._line.lateness_ns * 1e-3, bound_us=bound_us)

@@ -61,7 +61,7 @@ class RelayBatching(LinkBatching):
 
 
 def slot_of_gaps(gaps_ns: list[int]) -> float:
-    """The slot in µs that gaps between hand-overs are multiples of; 0 for none."""
+    """Return the slot in µs that gaps between hand-overs are multiples of; 0 for none."""
     gaps_us = np.array(gaps_ns) * 1e-3
     slot_us = float(np.quantile(gaps_us, 0.02))
     for _ in range(2):  # the shortest gaps give it roughly, all of them exactly

@@ -23,7 +23,7 @@ _CATCHING_UP = 0.1
 
 
 def unwrap(count: int, bits: int, near: int) -> int:
-    """The full count nearest ``near`` whose low ``bits`` bits are ``count``."""
+    """Return the full count nearest ``near`` whose low ``bits`` bits are ``count``."""
     period = 1 << bits
     return near + (count - near + period // 2) % period - period // 2
 
@@ -69,7 +69,7 @@ class Counter32(Row):
         self._is_running = False
 
     def full_us(self, stamp_us: int, expected_us: int, arrived_ns: int) -> int | None:
-        """The full count, or None when the counter has (re)started: then it stands at ``stamp_us``."""
+        """Return the full count, or None when the counter has (re)started: then it stands at ``stamp_us``."""
         if not self._is_running:
             self._is_running, self._newest_us = True, stamp_us
             return None

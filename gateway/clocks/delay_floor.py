@@ -97,7 +97,7 @@ class DelayFloor:
         return math.sqrt(self._P[0, 0])
 
     def offset_us(self, time_us: int) -> float:
-        """The floor at a module time."""
+        """Return the floor at a module time."""
         since_us = 0 if self._time_us is None else time_us - self._time_us
         return float(self._x[0] + self._x[1] * 1e-6 * since_us)
 

@@ -152,7 +152,7 @@ class EstimatedClock(Row):
         return self._start_ns + elapsed_us * 1000 + int(_published_us(self._line, elapsed_us) * 1000.0)
 
     def count_us(self, time_ns: int) -> float:
-        """The full count at a gateway time, by what is known now."""
+        """Return the full count at a gateway time, by what is known now."""
         since_us, line = (time_ns - self._start_ns) * 1e-3, self._line
         # two steps: the offset changes by a small part of the change in time
         elapsed_us = since_us - _published_us(line, round(since_us))
@@ -214,12 +214,12 @@ class EstimatedClock(Row):
         self._expected_us = self._start_us - int(offset_us)
 
     def _slot_is_news(self) -> bool:
-        """Whether the link turned out to hand over otherwise than was believed until now."""
+        """Return whether the link turned out to hand over otherwise than was believed until now."""
         before_us, self._believed_slot_us = self._believed_slot_us, self._batching.slot_us
         return abs(self._believed_slot_us - before_us) > _SLOT_NEWS * max(self._believed_slot_us, before_us)
 
     def _slot_us(self, elapsed_s: FloatArray) -> float:
-        """The link's slot, unless the module samples in step with it: then it tells nothing.
+        """Return the link's slot, unless the module samples in step with it: then it tells nothing.
 
         Exchanges are in step with nothing, and where in its slot a module samples is known by them.
         """

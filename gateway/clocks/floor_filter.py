@@ -30,7 +30,7 @@ SHARPNESS_US = 10.0
 TRUST = 0.5
 """Weight of a packet: delays of neighbouring packets are not independent."""
 OUTAGE = 6.0
-"""A packet later than so many mean delays was held up: it says hardly anything of the floor."""
+"""A packet later than so many mean delays was delayed: it says hardly anything of the floor."""
 OUTAGE_WEIGHT = 0.02
 OUTAGE_SCORE = 0.5
 """Nor of the mean delay, unless such packets are many."""
@@ -140,7 +140,8 @@ def _inverse(M: FloatArray) -> FloatArray:
 def _reach(
     step_c: float, step_r: float, c: float, r: float, t: FloatArray, d: FloatArray, corner: float
 ) -> float:
-    """What part of a step stays on the possible side: with no packet near the line nothing else bounds it."""
+    """Return what part of a step stays on the possible side: with no packet near the line nothing else bounds
+    it."""
     reach = 1.0
     for k in range(len(t)):
         u, fall = d[k] - c - r * t[k], step_c + step_r * t[k]
@@ -179,7 +180,7 @@ def _most_likely(
 
 @compiled
 def distance(x: FloatArray, P: FloatArray, after: FloatArray) -> float:
-    """How far a state (2,) is from another one, in standard deviations of P (2, 2)."""
+    """Return how far a state (2,) is from another one, in standard deviations of P (2, 2)."""
     c, r = after[0] - x[0], after[1] - x[1]
     A = _inverse(P)
     return math.sqrt(max(A[0, 0] * c * c + 2.0 * A[0, 1] * c * r + A[1, 1] * r * r, 0.0))

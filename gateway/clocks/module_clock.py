@@ -102,7 +102,7 @@ class SharedClock(Row):
         return full_us * MICROSECOND_NS + self._start_ns
 
     def _join(self, time_ns: int, arrived_ns: int) -> int:
-        """The common offset, or a new one when this module's stamps cannot belong to it."""
+        """Return the common offset, or a new one when this module's stamps cannot belong to it."""
         shared = self._shared.offset_ns
         if shared is None or abs(time_ns + shared - arrived_ns) > SAME_CLOCK_NS:
             self._shared.offset_ns = shared = arrived_ns - time_ns

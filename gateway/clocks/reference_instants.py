@@ -35,7 +35,7 @@ class Datum:
 
 
 def interpolate(before: Datum, after: Datum, time_us: float) -> Datum:
-    """The datum at a time between two."""
+    """Return the datum at a time between two."""
     span_us = after.time_us - before.time_us
     fraction = (time_us - before.time_us) / span_us if span_us > 0 else 0.0
     vector = orientation = None

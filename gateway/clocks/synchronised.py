@@ -24,7 +24,7 @@ class _Group:
         self.members = 0
 
     def is_in_step(self, stamp_us: int, arrived_ns: int) -> bool:
-        """Whether a stamp of 32 bits can be of this time; the first one always is."""
+        """Return whether a stamp of 32 bits can be of this time; the first one always is."""
         if not self.members:
             return True
         return -_EARLY_NS <= arrived_ns - self.instant_ns(stamp_us) <= _LATE_NS
@@ -91,7 +91,7 @@ class SynchronisedClock:
         return group.clock.gateway_time(module_time_us, arrived_ns)
 
     def figures(self) -> ClockFigures:
-        """Offset and rate of its group."""
+        """Return offset and rate of its group."""
         return ClockFigures(0, 0.0) if self._group is None else self._group.clock.figures()
 
     def _joined(self, stamp_us: int, arrived_ns: int) -> _Group:

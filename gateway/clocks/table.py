@@ -84,19 +84,19 @@ class ClockTable:
         return minute_us * (k - 1 + (counted_us - counts[k - 1]) / (counts[k] - counts[k - 1]))
 
     def skew_ppm(self, module: int) -> float:
-        """How much faster than the reference a module counts, over the whole table."""
+        """Return how much faster than the reference a module counts, over the whole table."""
         return float((1.0 / self.alpha[module][-1] - 1.0) * 1e6)
 
 
 def rank_by_crystal(counts: Mapping[int, float]) -> tuple[int, ...]:
-    """Modules by what they counted in one and the same time, slowest first (equal ones by id)."""
+    """Return modules by what they counted in one and the same time, slowest first (equal ones by id)."""
     return tuple(sorted(counts, key=lambda module: (counts[module], module)))
 
 
 def clock_table(
     repetitions: Sequence[Mapping[int, Sequence[float]]], interval_s: float = MINUTE_S
 ) -> ClockTable:
-    """The table of repeated counts.
+    """Return the table of repeated counts.
 
     repetitions: each gives by module ``T_{i,k}`` in units of the interval (minutes), k = 1 … K: what the
     module had counted when the reference had counted ``k``. Raises ``ValueError`` when they do not agree in

@@ -72,7 +72,7 @@ class ClockCalibration:
         return tuple(sorted(self._clocks))
 
     def table(self) -> ClockTable:
-        """The table. Raises ``GatewayError`` when modules were not heard, or not for long enough."""
+        """Return the table. Raises ``GatewayError`` when modules were not heard, or not for long enough."""
         silent = [i for i in self._expected if i not in self._clocks]
         if silent:
             raise GatewayError(

@@ -28,7 +28,7 @@ class TableClocks:
         """Clock of the reference module, once it was heard."""
 
     def clock(self, module: int, batching: LinkBatching | None = None) -> TableClock:
-        """The clock of a module."""
+        """Return the clock of a module."""
         clock = TableClock(self, module, batching)
         if module == self.table.reference:
             self.reference = clock

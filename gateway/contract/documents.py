@@ -47,7 +47,7 @@ _DRAFT_7 = "application/schema+json;version=draft-07"
 
 
 def request_models() -> dict[str, type[BaseModel]]:
-    """The data of every request, by ``<family>/<verb>``."""
+    """Return the data of every request, by ``<family>/<verb>``."""
     return {
         f"{family}/{verb}": model
         for family, models in REQUEST_FAMILIES.items()
@@ -56,7 +56,7 @@ def request_models() -> dict[str, type[BaseModel]]:
 
 
 def published_models() -> list[type[Message]]:
-    """Every model that a gateway publishes, each once."""
+    """Return every model that a gateway publishes, each once."""
     models = [publication.model for publication in PUBLICATIONS]
     return list(dict.fromkeys([*models, ResponseMessage]))
 
@@ -71,7 +71,7 @@ def json_schemas() -> dict[str, Schema]:
 
 
 def asyncapi() -> Schema:
-    """The AsyncAPI 3.0 document: what a gateway sends, and what it answers."""
+    """Return the AsyncAPI 3.0 document: what a gateway sends, and what it answers."""
     channels: Schema = {}
     operations: Schema = {}
     messages: Schema = {model.__name__: _message(model.__name__) for model in published_models()}
@@ -110,7 +110,7 @@ def asyncapi() -> Schema:
 
 
 def files() -> dict[str, bytes]:
-    """The documents by path below their folder."""
+    """Return the documents by path below their folder."""
     options = orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE
     written = {
         f"schemas/{name}.json": orjson.dumps(schema, option=options)
@@ -124,7 +124,7 @@ def files() -> dict[str, bytes]:
 
 
 def _shared_schemas() -> Schema:
-    """All models in one dictionary, each by its name, as draft 7 (which AsyncAPI tools must know)."""
+    """Return all models in one dictionary, each by its name, as draft 7 (which AsyncAPI tools must know)."""
     modes: list[tuple[type[BaseModel], JsonSchemaMode]] = [(m, "serialization") for m in published_models()]
     modes += [(model, "validation") for model in request_models().values()]
     _, schema = models_json_schema(modes, ref_template="#/components/schemas/{model}")

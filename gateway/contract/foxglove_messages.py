@@ -146,7 +146,7 @@ class FoxgloveEncoder:
 
 
 def _from_z(direction: FloatArray) -> FloatArray:
-    """(4,) the shortest rotation that takes z to a unit vector."""
+    """Return (4,) the shortest rotation that takes z to a unit vector."""
     x, y, z = direction.tolist()
     if z < -1 + 1e-9:
         return np.array([0.0, 1.0, 0.0, 0.0])

@@ -41,7 +41,7 @@ class Message(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     def payload(self) -> bytes:
-        """The message as JSON bytes."""
+        """Return the message as JSON bytes."""
         return orjson.dumps(self.model_dump(mode="json"))
 
 
@@ -457,7 +457,7 @@ PUBLICATIONS: tuple[Publication, ...] = (
 
 
 def describe_body(skeleton: Skeleton) -> BodyMessage:
-    """The skeleton as published."""
+    """Return the skeleton as published."""
     names = skeleton.segment_names
     segments = tuple(
         BodySegment(
@@ -491,7 +491,8 @@ def _describe_joint(joint: Joint, segments: tuple[str, ...]) -> BodyJoint:
 
 
 def plain_json(statistics: Mapping[str, object]) -> dict[str, JsonValue]:
-    """Statistics as JSON values: NaN and infinity become null, numpy scalars numbers, the rest text."""
+    """Return statistics as JSON values: NaN and infinity become null, numpy scalars numbers, the rest
+    text."""
     options = orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
     plain: dict[str, Any] = orjson.loads(orjson.dumps(dict(statistics), default=_as_text, option=options))
     return plain

@@ -14,7 +14,8 @@ MSGPACK = "application/msgpack"
 def properties_of(
     protocol: Literal["3.1.1", "5"], content_type: str, expiry_s: int | None = None
 ) -> Properties | None:
-    """Content type, and how long a broker may keep a message that it cannot deliver; None before MQTT 5."""
+    """Return content type, and how long a broker may keep a message that it cannot deliver; None before MQTT
+    5."""
     if protocol != "5":
         return None
     properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]

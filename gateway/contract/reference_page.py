@@ -45,7 +45,7 @@ def reference_page(
     requests: Mapping[str, type[BaseModel]],
     schema_name: Callable[[str], str],
 ) -> str:
-    """The page, as markdown. schema_name: of a request's schema, by its verb."""
+    """Return the page, as markdown. schema_name: of a request's schema, by its verb."""
     parts = [_HEAD, _topics(publications)]
     shown: list[type[BaseModel]] = []
     parts.extend(
@@ -81,7 +81,7 @@ def _section(publication: Publication, shown: list[type[BaseModel]]) -> str:
 
 
 def _model(model: type[BaseModel], shown: list[type[BaseModel]]) -> str:
-    """Fields of a model, and of those inside it that were not shown yet."""
+    """Return fields of a model, and of those inside it that were not shown yet."""
     text = f"{_sentence(model)}\n\n{_fields(model)}"
     for inner in _models_within(model):
         if inner not in shown:
@@ -105,7 +105,7 @@ def _type(field: FieldInfo) -> str:
 
 
 def _named(annotation: object) -> str:
-    """An annotation in the words of JSON."""
+    """Return an annotation in the words of JSON."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if isinstance(annotation, type) and annotation in _WORDS:
         return _WORDS[annotation]

@@ -35,7 +35,8 @@ class RequestProblem(ValueError):
 
 
 def parse_request(payload: object) -> tuple[dict[str, JsonValue], Transaction]:
-    """Data and transaction of a request: a JSON object, or nothing at all. Raises ``RequestProblem``."""
+    """Return data and transaction of a request: a JSON object, or nothing at all. Raises
+    ``RequestProblem``."""
     if not isinstance(payload, bytes | bytearray):
         payload = b""
     if len(payload) > LARGEST_REQUEST:

@@ -244,8 +244,8 @@ def angle_names(joints: Sequence[Joint]) -> list[tuple[int, int, str]]:
 
 
 def _relative(parents: IntArray, is_root: NDArray[np.bool_], frames: FloatArray) -> FloatArray:
-    """(S, 4) each frame in its parent's, or in the world. In NumPy: to compile it would take longer than
-    a recording may take to begin."""
+    """Return (S, 4) each frame in its parent's, or in the world. In NumPy: to compile it would take longer
+    than a recording may take to begin."""
     pw, px, py, pz = np.where(is_root, _IDENTITY, frames[parents].T * _CONJUGATE)
     qw, qx, qy, qz = frames.T
     rotations: FloatArray = np.stack(

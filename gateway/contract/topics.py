@@ -97,7 +97,7 @@ class Topics:
         return f"{self.root}/{ROBOT}"
 
     def segment(self, name: str) -> str:
-        """One segment of the poses, where configured."""
+        """Return one segment of the poses, where configured."""
         return f"{self.root}/{SEGMENT.format(name=name)}"
 
     @property
@@ -111,7 +111,7 @@ class Topics:
         return f"{self.root}/{COMPARISON}"
 
     def module_state(self, module: int) -> str:
-        """Figures of one module; retained."""
+        """Return figures of one module; retained."""
         return f"{self.root}/{MODULE_STATE.format(id=module)}"
 
     def module_availability(self, module: int) -> str:
@@ -119,15 +119,15 @@ class Topics:
         return f"{self.root}/{MODULE_AVAILABILITY.format(id=module)}"
 
     def request(self, verb: str) -> str:
-        """Where a request is published."""
+        """Return where a request is published."""
         return f"{self.root}/{BRIDGE_REQUEST}/{verb}"
 
     def response(self, verb: str) -> str:
-        """Where its answer comes, unless the request says otherwise (MQTT 5)."""
+        """Return where its answer comes, unless the request says otherwise (MQTT 5)."""
         return f"{self.root}/{BRIDGE_RESPONSE}/{verb}"
 
     def split(self, topic: str) -> tuple[str, str] | None:
-        """(gateway, rest) of a topic of this gateway, or None for one that is not."""
+        """Return (gateway, rest) of a topic of this gateway, or None for one that is not."""
         prefix = f"{self.base_topic}/"
         if not topic.startswith(prefix):
             return None

@@ -33,7 +33,7 @@ _STALL_MS = (25.0, 80.0)
 
 
 async def broker(settings: MqttSettings, gateway: str, surroundings: Surroundings) -> list[Finding]:
-    """Whether the broker takes us, and how long a message is on its way through it."""
+    """Return whether the broker takes us, and how long a message is on its way through it."""
     if settings.broker == "embedded":
         return [good("broker", f"embedded, on port {settings.port}: started with the gateway")]
     try:
@@ -109,7 +109,7 @@ async def _travel_times_ms(settings: MqttSettings, topics: Topics) -> list[float
 
 
 async def _brokers_elsewhere(settings: MqttSettings, surroundings: Surroundings) -> list[int]:
-    """Ports of the same host on which a broker does answer, with or without letting us in."""
+    """Return ports of the same host on which a broker does answer, with or without letting us in."""
     found = []
     for port in surroundings.usual_broker_ports:
         if port == settings.port:
@@ -125,12 +125,12 @@ _FIRST_FAILURE = 128
 
 
 def is_at_broker(link: LinkSettings) -> bool:
-    """Whether the link has no port of its own, but a topic of the gateway's broker."""
+    """Return whether the link has no port of its own, but a topic of the gateway's broker."""
     return link.url.startswith(f"{SCHEME}:")
 
 
 async def camera_topic(link: LinkSettings, mqtt: MqttSettings, seconds: float) -> list[Finding]:
-    """Subscribes as the gateway would, and listens for so many seconds (0: not at all)."""
+    """Subscribe as the gateway would, and listens for so many seconds (0: not at all)."""
     subject = f"{link.name}: port"
     try:
         made = link_of(link, mqtt, lambda: mqtt.port)
@@ -158,7 +158,7 @@ async def camera_topic(link: LinkSettings, mqtt: MqttSettings, seconds: float) -
 
 
 async def _heard(client: aiomqtt.Client, seconds: float) -> Counter[tuple[str, bool]]:
-    """Messages by topic and whether they are what they should be."""
+    """Return messages by topic and whether they are what they should be."""
     heard: Counter[tuple[str, bool]] = Counter()
 
     async def listen() -> None:

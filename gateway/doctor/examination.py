@@ -33,7 +33,7 @@ _MB = 1e6
 
 
 def disk(settings: RecordingSettings, surroundings: Surroundings) -> Finding:
-    """Whether there is room where recordings go."""
+    """Return whether there is room where recordings go."""
     folder = Path(settings.folder).absolute()
     present = next(each for each in (folder, *folder.parents) if each.exists())
     if not present.is_dir() or not os.access(present, os.W_OK | os.X_OK):
@@ -51,7 +51,7 @@ def disk(settings: RecordingSettings, surroundings: Surroundings) -> Finding:
 
 
 def kernels(method: str) -> Iterator[Finding]:
-    """Whether the method's kernels are compiled."""
+    """Yield whether the method's kernels are compiled."""
     from gateway.service import readiness  # noqa: PLC0415 - it imports the whole pipeline
 
     if method not in readiness.LONG_COMPILED:
@@ -68,7 +68,7 @@ def kernels(method: str) -> Iterator[Finding]:
 
 
 def metrics_port(settings: MetricsSettings, *, gateway_runs: bool) -> Iterator[Finding]:
-    """Whether the port of the metrics is free, or taken by the running gateway."""
+    """Yield whether the port of the metrics is free, or taken by the running gateway."""
     if not settings.port:
         return
     where = f"{settings.host}:{settings.port}"
@@ -92,7 +92,7 @@ LISTEN_S = 2.0
 def examine_file(
     config: Path, rate_hz: float | None = None, listen_s: float = LISTEN_S, here: Surroundings | None = None
 ) -> Iterator[Finding]:
-    """The file itself, then all that it names. rate_hz: of each module; none: as assembled."""
+    """Yield the file itself, then all that it names. rate_hz: of each module; none: as assembled."""
     try:
         settings = load_gateway_settings(config)
         load_rig(settings.rig, config)
@@ -159,6 +159,6 @@ def _listen(
 
 
 def _has_modules(link: LinkSettings) -> bool:
-    """Whether modules are at the other end: no receiver, no cameras, no file."""
+    """Return whether modules are at the other end: no receiver, no cameras, no file."""
     has_modules = source_kind(link.carries).has_modules
     return has_modules and not isinstance(link_from_url(link.url), ReplayLink)

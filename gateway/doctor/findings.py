@@ -46,7 +46,8 @@ def bad(subject: str, found: str, remedy: str) -> Finding:
 
 
 def describe_interface(interface: str) -> str | None:
-    """What ``ip`` says of a network interface, as JSON; None: no such program, or no such interface."""
+    """Return what ``ip`` says of a network interface, as JSON; None: no such program, or no such
+    interface."""
     program = shutil.which("ip", path="/usr/sbin:/usr/bin:/sbin:/bin")
     if program is None:
         return None

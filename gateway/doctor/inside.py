@@ -80,7 +80,7 @@ def _examine(service: Service, here: Surroundings) -> Iterator[Finding]:
 
 
 def _port(settings: LinkSettings, link: Link) -> Finding:
-    """Whether a link is open now."""
+    """Return whether a link is open now."""
     subject = f"{settings.name}: port"
     if not isinstance(link, ReconnectingLink) or link.state is LinkState.UP:
         return good(subject, f"{settings.url} is open")

@@ -36,7 +36,7 @@ _SERIAL_SCHEMES = frozenset({"", "serial", "slcan"})
 
 
 async def opening(link: LinkSettings, *, gateway_runs: bool) -> Finding:
-    """Whether the port can be opened; it is, for a moment. A running gateway may have it open."""
+    """Return whether the port can be opened; it is, for a moment. A running gateway may have it open."""
     subject = f"{link.name}: port"
     opened = link_from_url(link.url, name=link.name)
     try:
@@ -52,7 +52,7 @@ async def opening(link: LinkSettings, *, gateway_runs: bool) -> Finding:
 
 
 def device_of(url: str) -> str | None:
-    """The path of the device file in an endpoint; None for one that has none."""
+    """Return the path of the device file in an endpoint; None for one that has none."""
     parts = urlsplit(url)
     if parts.scheme not in _SERIAL_SCHEMES or not parts.path.startswith("/dev/"):
         return None
@@ -60,7 +60,7 @@ def device_of(url: str) -> str | None:
 
 
 def naming(link: LinkSettings, surroundings: Surroundings) -> Iterator[Finding]:
-    """Whether the port's name will be the same after the next plugging in."""
+    """Yield whether the port's name will be the same after the next plugging in."""
     device = device_of(link.url)
     if device is None:
         return
@@ -76,7 +76,7 @@ def naming(link: LinkSettings, surroundings: Surroundings) -> Iterator[Finding]:
 
 
 def latency(link: LinkSettings, surroundings: Surroundings) -> Iterator[Finding]:
-    """How long the adapter keeps bytes back: FTDI's default is 16 ms."""
+    """Yield how long the adapter keeps bytes back: FTDI's default is 16 ms."""
     device = device_of(link.url)
     if device is None:
         return
@@ -98,7 +98,7 @@ def latency(link: LinkSettings, surroundings: Surroundings) -> Iterator[Finding]
 
 
 def _target(name: Path) -> str:
-    """Where a name under by-id leads, as far as it is one link to a device file."""
+    """Return where a name under by-id leads, as far as it is one link to a device file."""
     try:
         return os.path.normpath(name.parent / name.readlink())
     except OSError:
@@ -110,7 +110,7 @@ _WORRYING = frozenset({"ERROR-WARNING", "ERROR-PASSIVE"})
 
 
 def can_interface(link: LinkSettings, surroundings: Surroundings) -> Iterator[Finding]:
-    """What the kernel says of the interface that a ``can://socketcan/…`` link names."""
+    """Yield what the kernel says of the interface that a ``can://socketcan/…`` link names."""
     parts = urlsplit(link.url)
     if parts.scheme != "can" or parts.netloc != "socketcan":
         return
@@ -171,7 +171,7 @@ def _read(surroundings: Surroundings, interface: str, attribute: str, base: int)
 
 
 def _details(described: str | None) -> dict[str, Any]:
-    """The part about CAN of what ``ip -details -json`` says; empty for an interface that has none."""
+    """Return the part about CAN of what ``ip -details -json`` says; empty for an interface that has none."""
     try:
         (interface,) = json.loads(described or "[]")
         found = interface["linkinfo"]["info_data"]
@@ -186,7 +186,8 @@ _FULL_SAMPLE = InertialSample((0.0, 0.0, 9.8), (20.0, 0.0, -40.0), (0.0, 0.0, 0.
 
 
 def capacity(name: str, url: str, n_modules: int, rate_hz: float) -> Iterator[Finding]:
-    """Whether the link's line carries so many modules (accelerometer, magnetometer and gyroscope each)."""
+    """Yield whether the link's line carries so many modules (accelerometer, magnetometer and gyroscope
+    each)."""
     rate = line_rate(url)
     if rate is None:
         return
@@ -278,7 +279,7 @@ def _others_readability(links: Sequence[LinkSettings], makers: MakersModules) ->
 
 
 def _usable(links: Sequence[LinkSettings], makers: MakersModules, method: str) -> Iterator[Finding]:
-    """Whether what other makers' modules send is what the method takes."""
+    """Yield whether what other makers' modules send is what the method takes."""
     for link in links:
         heard, subject = makers.heard(link.name), f"{link.name}: method"
         if heard.orientations and not heard.samples and method not in FUSED:

@@ -22,7 +22,7 @@ _RETAINED_S = 0.7
 
 
 async def module_states(settings: MqttSettings, gateway: str) -> dict[int, ModuleState] | None:
-    """The states of a running gateway's modules; None: no such gateway runs, as far as can be told."""
+    """Return the states of a running gateway's modules; None: no such gateway runs, as far as can be told."""
     if settings.broker == "embedded" and settings.port == 0:
         return None
     topics = Topics(settings.base_topic, gateway)
@@ -47,7 +47,7 @@ async def module_states(settings: MqttSettings, gateway: str) -> dict[int, Modul
 
 
 def judge(gateway: str, states: Mapping[int, ModuleState]) -> Iterator[Finding]:
-    """Findings about a running gateway."""
+    """Yield findings about a running gateway."""
     yield good("gateway", f"'{gateway}' is online, with {len(states)} modules")
     silent = [_named(state) for state in states.values() if state.availability == "offline"]
     if silent:

@@ -113,7 +113,7 @@ class Run:
 
 
 def suit_with_position(quantity: Quantity = Quantity.POSITION) -> WornSuit:
-    """The shipped suit for the lower body with a device at its waist that measures ``quantity``."""
+    """Return the shipped suit for the lower body with a device at its waist that measures ``quantity``."""
     suit = load_rig("suit_lower_7")
     device = LocalDevice(quantity, suit.skeleton.index("pelvis"), np.array([0.0, 0.1, 0.0]), ML)
     return replace(suit, local_devices=(device,))
@@ -161,7 +161,7 @@ _SWAPPED_WITH = {"swapped": "left_foot", "swapped_shanks": "right_shank"}
 
 
 def _worn(body: EmulatedBody, how: str) -> EmulatedBody:
-    """The body with the victim's module put on wrong."""
+    """Return the body with the victim's module put on wrong."""
     if how == "turned":
         q = body.sensor_to_segment.copy()
         segment = int(np.flatnonzero(body.module_ids == VICTIM)[0])
@@ -199,7 +199,7 @@ def outcome(run: Run, calm: Run, segments: list[int]) -> Outcome:
     return Outcome(worst, recovery_s)
 
 
-def told_after_s(run: Run, segments: list[int]) -> float:
+def reported_after_s(run: Run, segments: list[int]) -> float:
     """From the beginning until the status of all the segments is another than measured or interpolated."""
     told = (run.status[:, segments] > Status.INTERPOLATED).all(axis=1) & (run.times_s >= run.case.begins_s)
     return float(run.times_s[told][0] - run.case.begins_s) if told.any() else np.nan
@@ -216,7 +216,7 @@ def doubtful_after_s(run: Run, segments: list[int]) -> float:
 
 
 def is_finite(run: Run) -> bool:
-    """Whether every orientation after the start is a number, and every sigma."""
+    """Return whether every orientation after the start is a number, and every sigma."""
     settled = run.times_s > 2.0
     return bool(np.isfinite(run.q_wb[settled]).all() and np.isfinite(run.sigma_deg[settled]).all())
 

@@ -66,7 +66,7 @@ def module_traffic(
     slot_us: float,
     latency_us: float,
 ) -> ModuleTraffic:
-    """One module's packets: exponential delay over the latency, order kept, handed over in slots."""
+    """Return one module's packets: exponential delay over the latency, order kept, handed over in slots."""
     counter = np.arange(int(seconds * rate_hz))
     elapsed_us: FloatArray = np.asarray(counter * (1e6 / rate_hz), dtype=np.float64)
     true_us = crystal.true_us(elapsed_us)
@@ -83,7 +83,7 @@ def module_traffic(
 
 
 def transport_limit_us(slot_us: float, interval_us: float, seconds: float) -> float:
-    """What no unbiased estimate beats at p99, µs: the rate known, so many seconds of packets.
+    """Return what no unbiased estimate beats at p99, µs: the rate known, so many seconds of packets.
 
     The Cramér–Rao bound of the offset for exponential delays seen in slots, averaged over the phase between
     sampling and slots.

@@ -84,13 +84,13 @@ def fast_arm() -> WornSuit:
 
 
 def carried_arm() -> WornSuit:
-    """The same arm with a local device that tells the position of its base."""
+    """Return the same arm with a local device that tells the position of its base."""
     device = LocalDevice(Quantity.POSITION, 0, np.zeros(3), POSITION_DEVICE)
     return replace(fast_arm(), local_devices=(device,))
 
 
 def carried_motion(suit: WornSuit, seed: int) -> BodyMotion:
-    """All joints about all axes, and the base along all: every module feels 30 to 60 m/s² RMS."""
+    """Return all joints about all axes, and the base along all: every module feels 30 to 60 m/s² RMS."""
     rng = np.random.default_rng([seed, 11])
 
     def waves(rows: int, amplitude: tuple[float, float]) -> Waves:
@@ -102,7 +102,7 @@ def carried_motion(suit: WornSuit, seed: int) -> BodyMotion:
 
 
 def fast_motion(suit: WornSuit, seed: int) -> BodyMotion:
-    """All joints about all axes."""
+    """Return all joints about all axes."""
     return generic_motion(
         dress(suit), seed, peak_angular_rate=PEAK_RATE, peak_angular_acceleration=PEAK_ANGULAR_ACCELERATION
     )
@@ -123,7 +123,7 @@ def sampled(
     rate_hz: float = RATE_HZ,
     seconds: float = SECONDS,
 ) -> list[ImuFrame]:
-    """All frames of a chain, sensor axes; where a local device tells a position, its readings as well.
+    """Return all frames of a chain, sensor axes; where a local device tells a position, its readings as well.
 
     suit: any whose modules are those of its segments, in their order and with their axes.
     """
@@ -156,7 +156,7 @@ def _with_positions(
     switches: Switches,
     rng: np.random.Generator,
 ) -> list[ImuFrame]:
-    """The frames with a position device's readings."""
+    """Return the frames with a position device's readings."""
     state, sigma_m = motion.state(times), switches.device_sigma_m
     place = device.position + switches.device_m * rng.standard_normal(3)
     told = state.joint_position[:, device.segment] + state.R_wb[:, device.segment] @ place
@@ -182,7 +182,7 @@ def _bent_field(positions: FloatArray, field: FloatArray) -> FloatArray:
 
 
 def _wobbling(values: SensorValues, rng: np.random.Generator, dt: float) -> SensorValues:
-    """The module on a spring: what its shaking adds to force and rate, and its turned axes."""
+    """Return the module on a spring: what its shaking adds to force and rate, and its turned axes."""
     omega = 2.0 * np.pi * WOBBLE_HZ
     decay = np.exp(-WOBBLE_DAMPING * omega * dt)
     turn = omega * np.sqrt(1.0 - WOBBLE_DAMPING**2) * dt

@@ -37,7 +37,8 @@ class _Turns(NamedTuple):
 
 
 def in_time(recording: Recording, from_s: float = 0.0) -> tuple[Recording, float]:
-    """The recording with its references moved in time onto its modules, and by how much later they were, s.
+    """Return the recording with its references moved in time onto its modules, and by how much later they
+    were, s.
 
     One constant for all segments, from rates alone: the same whatever is then scored against them.
     """
@@ -60,7 +61,7 @@ def _turns(module: ModuleTrack, reference: ReferenceTrack, from_s: float) -> _Tu
 
 
 def _summed(module: ModuleTrack) -> tuple[FloatArray, FloatArray]:
-    """Times (T,) and rates summed up to them, (T, 3) rad; trapezoidal."""
+    """Return times (T,) and rates summed up to them, (T, 3) rad; trapezoidal."""
     finite = np.isfinite(module.angular_rate).all(axis=1)
     times, rate = module.times[finite], module.angular_rate[finite]
     steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(times)[:, None]
@@ -68,7 +69,7 @@ def _summed(module: ModuleTrack) -> tuple[FloatArray, FloatArray]:
 
 
 def _disagreement(turns: _Turns, lag_s: float) -> float:
-    """Mean square of the difference of speeds, (rad/s)², if the reference is so late."""
+    """Return mean square of the difference of speeds, (rad/s)², if the reference is so late."""
     turn = turns.gyroscopes(turns.to_s - lag_s) - turns.gyroscopes(turns.from_s - lag_s)
     difference = np.linalg.norm(turn, axis=1) / (turns.to_s - turns.from_s) - turns.speed
     return float(np.mean(np.minimum(difference**2, LARGEST_DISAGREEMENT**2)))
@@ -111,7 +112,7 @@ def _window_errors(module: ModuleTrack, reference: ReferenceTrack, from_s: float
 
 
 def _fitted_rates(times: FloatArray, rates: FloatArray, q_ref: FloatArray) -> FloatArray:
-    """(T, 3): the rates through the affine map that brings their means to the optical ones."""
+    """Return (T, 3): the rates through the affine map that brings their means to the optical ones."""
     known = np.asarray(np.isfinite(q_ref).all(axis=1))
     both = known[:-1] & known[1:]
     q = Rotation.from_quat(np.where(known[:, None], q_ref, [1.0, 0.0, 0.0, 0.0]), scalar_first=True)
@@ -127,7 +128,7 @@ def _fitted_rates(times: FloatArray, rates: FloatArray, q_ref: FloatArray) -> Fl
 
 
 def _integrated(times: FloatArray, rates: FloatArray) -> Rotation:
-    """Orientations against the first, body to first."""
+    """Return orientations against the first, body to first."""
     steps = Rotation.from_rotvec(0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None])
     R = [Rotation.identity()]
     for step in steps:

@@ -84,8 +84,8 @@ def simulated_labels(marker_set: MarkerSet) -> set[str]:
 def placed_markers(
     marker_set: MarkerSet, body: Skeleton, generator: np.random.Generator
 ) -> tuple[FloatArray, list[int]]:
-    """Where the markers of one subject sit, (M, 3) m, and on which segments: each ``MISPLACED`` from its
-    nominal place, in a direction of its own."""
+    """Return where the markers of one subject sit, (M, 3) m, and on which segments: each ``MISPLACED`` from
+    its nominal place, in a direction of its own."""
     places, segments = [], []
     for label in marker_set.labels:
         segment = body.index(marker_set.carriers[label])
@@ -110,7 +110,7 @@ def simulated(
     *,
     faults: bool,
 ) -> SimulatedTrial:
-    """A second of neutral standing, then every joint's free angles in motion; with gaps and swaps if
+    """Return a second of neutral standing, then every joint's free angles in motion; with gaps and swaps if
     wanted."""
     q_wb, p_w = _motion(body, seconds, generator)
     R = np.array([[quaternion.to_matrix(q) for q in pose] for pose in q_wb])
@@ -193,7 +193,7 @@ def _cut_gaps(markers: FloatArray, generator: np.random.Generator) -> None:
 
 
 def shortened(trial: SimulatedTrial, first: int, last: int) -> SimulatedTrial:
-    """Frames of a trial."""
+    """Return frames of a trial."""
     cut = slice(first, last)
     short = replace(trial.trial, positions=trial.trial.positions[cut])
     return SimulatedTrial(short, trial.q_wb[cut], trial.p_w[cut], [])
@@ -237,7 +237,7 @@ def solved_simulation(seconds: float = SECONDS, seed: int = SEED) -> SimulatedEr
 
 
 def _bridged(fitted: Fit, test: SimulatedTrial) -> FloatArray:
-    """(F, S, 4), with gaps bridged from both sides."""
+    """Return (F, S, 4), with gaps bridged from both sides."""
     observed = test.trial.columns(fitted.markers.labels)
     frames = [MarkerFrame(f, round(f * 1e9 / test.trial.rate_hz), seen) for f, seen in enumerate(observed)]
     solved, _ = solve_both_ways(fitted.skeleton, fitted.markers, frames)
@@ -245,14 +245,14 @@ def _bridged(fitted: Fit, test: SimulatedTrial) -> FloatArray:
 
 
 def _shown(fitted: Fit, test: SimulatedTrial) -> NDArray[np.bool_]:
-    """(F, S) whether all markers of a segment are seen."""
+    """Return (F, S) whether all markers of a segment are seen."""
     seen: NDArray[np.bool_] = np.isfinite(test.trial.columns(fitted.markers.labels)[:, :, 0])
     n = fitted.skeleton.n_segments
     return np.stack([seen[:, fitted.markers.segments == s].all(axis=1) for s in range(n)], axis=1)
 
 
 def _solved(fitted: Fit, test: SimulatedTrial) -> tuple[FloatArray, float]:
-    """Orientations (F, S, 4), and the share of swapped points that were found."""
+    """Return orientations (F, S, 4), and the share of swapped points that were found."""
     reconstructor = OpticalReconstructor(fitted.skeleton, fitted.markers)
     labels = fitted.markers.labels
     observed = test.trial.columns(labels)
@@ -271,7 +271,7 @@ def _solved(fitted: Fit, test: SimulatedTrial) -> tuple[FloatArray, float]:
 
 
 def _angle_errors(body: Skeleton, q_wb: FloatArray, truth: FloatArray) -> list[FloatArray]:
-    """A joint: (F, angles) degrees; NaN where the true joint is near the singularity of its angles."""
+    """Return a joint: (F, angles) degrees; NaN where the true joint is near the singularity of its angles."""
     ours, theirs = JointAngles(body), JointAngles(body)
     errors: list[list[FloatArray]] = [[] for _ in body.joints]
     for a, b in zip(q_wb, truth, strict=True):

@@ -63,7 +63,7 @@ HEADS = ["seed", "held by", "parents", "rad/s", "Hz", "wrong"]
 
 
 def drawn(seed: int) -> RandomChain:
-    """The chain of a seed; three in a row are held by one thing each."""
+    """Return the chain of a seed; three in a row are held by one thing each."""
     rng = np.random.default_rng([seed, 21])
     held_by = HELD_BY[seed % len(HELD_BY)]
     suit = _suit(rng, held_by)

@@ -76,7 +76,7 @@ def _play(recording: Recording, suit: WornSuit, reconstructor: Any) -> list[Skel
 def solved(
     method: str, suit: WornSuit, nominal_interval_s: float, frames: Sequence[ImuFrame]
 ) -> list[SkeletonFrame]:
-    """All frames by a reconstructor of that name, or by ``joint, smoothed``: forward and backward."""
+    """Return all frames by a reconstructor of that name, or by ``joint, smoothed``: forward and backward."""
     if method != SMOOTHED:
         return update_many(create_reconstructor(method, suit, nominal_interval_s), frames)
     with tempfile.TemporaryDirectory() as folder:
@@ -86,7 +86,7 @@ def solved(
 
 
 def orientations(frames: list[SkeletonFrame], first_s: float) -> tuple[FloatArray, FloatArray]:
-    """Times (T,) on the recording's clock, given that of the first frame, and ``q_wb`` (T, S, 4)."""
+    """Return times (T,) on the recording's clock, given that of the first frame, and ``q_wb`` (T, S, 4)."""
     times_ns = np.array([frame.time_ns for frame in frames])
     return first_s + (times_ns - times_ns[0]) * 1e-9, np.stack([frame.q_wb for frame in frames])
 
@@ -112,7 +112,7 @@ def score(
     from_s: float = 0.0,
     sigma: FloatArray | None = None,
 ) -> Score:
-    """Errors of orientations (T, S, 4) at times (T,), in the order of the recording's references.
+    """Return errors of orientations (T, S, 4) at times (T,), in the order of the recording's references.
 
     sigma: (T, S) rad, what the estimator says of itself.
     """
@@ -135,7 +135,7 @@ def _segment_errors(
 
 
 def reference_at(times_s: FloatArray, reference: ReferenceTrack) -> FloatArray:
-    """(T, 4): spherical interpolation of the reference; NaN where its neighbours are too far."""
+    """Return (T, 4): spherical interpolation of the reference; NaN where its neighbours are too far."""
     known = np.isfinite(reference.q_wb).all(axis=1)
     times, q = reference.times[known], reference.q_wb[known]
     after = np.clip(np.searchsorted(times, times_s), 1, len(times) - 1)

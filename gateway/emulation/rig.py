@@ -49,7 +49,7 @@ LOCAL_SIGMA = {
 
 
 def dress(suit: WornSuit, local_sigma: dict[Quantity, float] | None = None) -> EmulatedBody:
-    """The suit's skeleton and modules as plain data for the emulator."""
+    """Return the suit's skeleton and modules as plain data for the emulator."""
     skeleton = suit.skeleton
     sigma = LOCAL_SIGMA if local_sigma is None else local_sigma
     ids = [suit.module_ids[row] if row >= 0 else NO_MODULE for row in suit.module_of_segment]
@@ -71,7 +71,7 @@ def dress(suit: WornSuit, local_sigma: dict[Quantity, float] | None = None) -> E
 
 
 def worn_wrong(body: EmulatedBody, upside_down: Sequence[int], swapped: Sequence[int]) -> EmulatedBody:
-    """The body with modules of these ids upside down, and two that have changed places.
+    """Return the body with modules of these ids upside down, and two that have changed places.
 
     Raises ``ValueError`` for a module that it does not wear."""
     ids, alignment = body.module_ids.copy(), body.sensor_to_segment.copy()
@@ -92,7 +92,7 @@ _ABOUT_FORWARD = np.array([0.0, 1.0, 0.0, 0.0])
 
 
 def move(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
-    """A motion that suits the body: walking for people, swinging for pendulums."""
+    """Return a motion that suits the body: walking for people, swinging for pendulums."""
     return MOTIONS.get(body_name, generic_motion)(body, seed)
 
 
@@ -111,12 +111,13 @@ def perform(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
 
 
 def calibrate(body: EmulatedBody, _body_name: str, seed: int, heading: float = 0.0) -> BodyMotion:
-    """The wearer goes through the steps of ``calibrate body``, over and over; heading in rad from east."""
+    """The wearer goes through the steps of ``calibrate body``, over and over; heading in rad from
+    east."""
     return calibration_motion(body, seed, heading)
 
 
 def tumble(body: EmulatedBody, _body_name: str, seed: int) -> BodyMotion:
-    """The suit in a box that is put on all sides and turned: for calibrating sensors."""
+    """Return the suit in a box that is put on all sides and turned: for calibrating sensors."""
     return TumblingMotion(body, seed)
 
 
@@ -134,8 +135,8 @@ def _local_device(device: LocalDevice, sigma: float) -> EmulatedLocalDevice:
 
 
 def sunlight(suit: WornSuit, time_ns: int) -> Sunlight | None:
-    """What the suit's photoelectric cells see at a time (UTC, ns since 1970); None: they are not in use. The
-    cells of all emulated modules look where those of the first one do."""
+    """Return what the suit's photoelectric cells see at a time (UTC, ns since 1970); None: they are not in
+    use. The cells of all emulated modules look where those of the first one do."""
     if suit.sun is None:
         return None
     direction = sun_direction(time_ns, suit.sun.latitude_deg, suit.sun.longitude_deg)

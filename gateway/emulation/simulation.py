@@ -73,7 +73,7 @@ class WalkResult(NamedTuple):
 
 
 def arm(position: tuple[float, float, float]) -> WornSuit:
-    """The shipped robot arm with all modules at the same place of their links."""
+    """Return the shipped robot arm with all modules at the same place of their links."""
     suit = load_rig("robot_arm_4")
     lever_arms = np.tile(position, (suit.skeleton.n_segments, 1))
     return replace(suit, lever_arms=lever_arms, magnetic_field=field_vector(50.0, DIP_DEG))
@@ -108,7 +108,7 @@ def ideal_frames(
 def assembled(
     suit: WornSuit, motion: BodyMotion, imperfections: Imperfections, seconds: float, seed: int
 ) -> list[ImuFrame]:
-    """Frames of an emulated suit at 100 Hz with all its errors, bytes and all: for several methods."""
+    """Return frames of an emulated suit at 100 Hz with all its errors, bytes and all: for several methods."""
     pipeline = _pipeline(suit, "independent")
     sent = _sent(suit, motion, imperfections, seconds, seed)
     return [frame for chunk in sent for frame in pipeline.imu_frames(chunk)]
@@ -122,7 +122,7 @@ def through_the_wire(
     seconds: float,
     seed: int,
 ) -> list[SkeletonFrame]:
-    """The same, solved as they come."""
+    """Return the same, solved as they come."""
     pipeline = _pipeline(suit, reconstructor)
     sent = _sent(suit, motion, imperfections, seconds, seed)
     return [frame for chunk in sent for frame in pipeline.feed(chunk)]
@@ -145,7 +145,7 @@ def _sent(
 
 
 def suit_17() -> tuple[WornSuit, BodyMotion]:
-    """The shipped 17-module suit and a walking person in it."""
+    """Return the shipped 17-module suit and a walking person in it."""
     suit = load_rig("suit_17")
     return suit, move(dress(suit), suit.skeleton.name, seed=1)
 
@@ -157,7 +157,7 @@ def relay_chunks(
     has_relay: bool = True,
     imperfections: Imperfections = IDEAL,
 ) -> list[Chunk]:
-    """What the suit sends in so many seconds, one chunk a transmission, arrival times as emulated."""
+    """Return what the suit sends in so many seconds, one chunk a transmission, arrival times as emulated."""
     settings = SuitSettings(sampling_rate_hz=rate_hz, has_relay=has_relay)
     traffic = SuitTraffic(motion, settings, imperfections, seed=1)
     return [Chunk(sent.data, round(sent.time_s * 1e9), LINK) for sent in traffic.transmissions(seconds)]

@@ -47,7 +47,8 @@ def walking(
     keypoints: KeypointSet, n_frames: int, start: Sequence[float], velocity: Sequence[float],
     upside_down: bool = False, phase: float = 0.0,
 ) -> KnownPerson:  # fmt: skip
-    """A person who walks from ``start`` with ``velocity`` (east, north), m and m/s; or on the hands."""
+    """Return a person who walks from ``start`` with ``velocity`` (east, north), m and m/s; or on the
+    hands."""
     lengths = standard_lengths(keypoints) * np.array([_LONG[part] for part in PARTS])
     skeleton, markers = sized(keypoints, lengths)
     body = video_body(skeleton, markers)
@@ -64,7 +65,7 @@ def walking(
 
 
 def _posture(skeleton: Skeleton, phase: float, heading: float, upside_down: bool) -> FloatArray:
-    """(S, 3, 3): a step of a walk with bent, swinging arms and a swaying trunk."""
+    """Return (S, 3, 3): a step of a walk with bent, swinging arms and a swaying trunk."""
     angles: dict[str, list[float]] = {}
     for side, turn in (("left", 0.0), ("right", np.pi)):
         swing = np.sin(phase + turn)
@@ -87,7 +88,7 @@ def _posture(skeleton: Skeleton, phase: float, heading: float, upside_down: bool
 
 
 def ring_of_cameras(n: int, radius: float = 4.0) -> list[Camera]:
-    """Cameras of 1080 × 1920 pixels with distortion, 1.8 m high about the origin, looking at 0.9 m."""
+    """Return cameras of 1080 × 1920 pixels with distortion, 1.8 m high about the origin, looking at 0.9 m."""
     matrix = np.array([[1500.0, 0.0, 540.0], [0.0, 1500.0, 960.0], [0.0, 0.0, 1.0]])
     cameras = []
     for c in range(n):
@@ -106,7 +107,7 @@ def ring_of_cameras(n: int, radius: float = 4.0) -> list[Camera]:
 def true_regions(
     cameras: Sequence[Camera], keypoints: KeypointSet, points: FloatArray
 ) -> tuple[PersonRegion | None, ...]:
-    """Where a detector would find a person with keypoints (n_keypoints, 3)."""
+    """Return where a detector would find a person with keypoints (n_keypoints, 3)."""
     return tuple(person_region(camera, points, keypoints.names) for camera in cameras)
 
 
@@ -136,7 +137,8 @@ def rendered(
 
 
 def messages_of(cameras: Sequence[Camera], keypoints: KeypointSet, person: KnownPerson) -> list[list[bytes]]:
-    """What the cameras send of a person, by instant: as the network ``full`` would see every picture."""
+    """Return what the cameras send of a person, by instant: as the network ``full`` would see every
+    picture."""
     instants = []
     for t, places in enumerate(person.keypoints):
         frame = rendered(cameras, true_regions(cameras, keypoints, places), places[None], t)
@@ -155,7 +157,7 @@ def messages_of(cameras: Sequence[Camera], keypoints: KeypointSet, person: Known
 
 
 def _blobs(cells: FloatArray) -> FloatArray:
-    """(n_keypoints, CELLS, CELLS) Gaussians about column and row (n_keypoints, 2)."""
+    """Return (n_keypoints, CELLS, CELLS) Gaussians about column and row (n_keypoints, 2)."""
     grid = np.arange(CELLS)
     across = np.exp(-0.5 * ((grid - cells[:, :1]) / SPREAD) ** 2)
     down = np.exp(-0.5 * ((grid - cells[:, 1:]) / SPREAD) ** 2)

@@ -22,7 +22,7 @@ class OrientationError(NamedTuple):
 
 
 def orientation_error(q_wb: FloatArray, q_wb_reference: FloatArray) -> OrientationError:
-    """Errors of ``q_wb`` (..., 4) against a reference (..., 4), both wxyz. NaN stays NaN."""
+    """Return errors of ``q_wb`` (..., 4) against a reference (..., 4), both wxyz. NaN stays NaN."""
     w, x, y, z = np.moveaxis(_times_conjugate(q_wb, q_wb_reference), -1, 0)
     return OrientationError(
         total=2.0 * np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w)),
@@ -38,7 +38,7 @@ def rmse_deg(errors: FloatArray) -> FloatArray:
 
 
 def coverage_percent(errors: FloatArray, sigma: FloatArray) -> float:
-    """Percent of errors (rad) within two sigma; NaN where nothing is claimed."""
+    """Return percent of errors (rad) within two sigma; NaN where nothing is claimed."""
     if np.isnan(sigma).all():
         return float("nan")
     return float(100.0 * np.mean(errors < 2.0 * sigma))

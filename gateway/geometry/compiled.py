@@ -226,5 +226,5 @@ def for_types_of(kernel: F, *arguments: Any) -> F:
 
 
 def compiled(function: F) -> F:
-    """The function as a kernel; see ``Kernel``."""
+    """Return the function as a kernel; see ``Kernel``."""
     return cast(F, Kernel(function))

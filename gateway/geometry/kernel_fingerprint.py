@@ -113,7 +113,7 @@ def _used_names(code: CodeType) -> set[str]:
 
 
 def _is_ours(module: ModuleType, name: str) -> bool:
-    """Whether a module of kernels has the name; NumPy and ``math`` change with the compiler alone."""
+    """Return whether a module of kernels has the name; NumPy and ``math`` change with the compiler alone."""
     if module.__name__.partition(".")[0] in ("numpy", "math"):
         return False
     return not isinstance(getattr(module, name, module), ModuleType)

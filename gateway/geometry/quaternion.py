@@ -17,7 +17,7 @@ from gateway.geometry.vectors import vector
 
 @compiled
 def quaternion(w: float, x: float, y: float, z: float) -> FloatArray:
-    """A new (4,) array; not normalised."""
+    """Return a new (4,) array; not normalised."""
     q = np.empty(4)
     q[0], q[1], q[2], q[3] = w, x, y, z
     return q
@@ -71,19 +71,19 @@ def rotate_inverse(q_ab: FloatArray, v_a: FloatArray) -> FloatArray:
 
 @compiled
 def normalise(q: FloatArray) -> FloatArray:
-    """Unit length; shape (4,) -> (4,). NaN for a quaternion of zeros."""
+    """Return unit length; shape (4,) -> (4,). NaN for a quaternion of zeros."""
     return q / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
 
 
 @compiled
 def canonical(q: FloatArray) -> FloatArray:
-    """The one of q and −q with w ≥ 0; shape (4,) -> (4,)."""
+    """Return the one of q and −q with w ≥ 0; shape (4,) -> (4,)."""
     return -q if q[0] < 0.0 else q.copy()
 
 
 @compiled
 def from_rotation_vector(r: FloatArray) -> FloatArray:
-    """The exponential: rotation by |r| rad about r; shape (3,) -> (4,)."""
+    """Return the exponential: rotation by |r| rad about r; shape (3,) -> (4,)."""
     angle = math.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
     # sin(a/2) / a loses nothing at small angles, only at a = 0 is it not defined
     scale = math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
@@ -92,7 +92,7 @@ def from_rotation_vector(r: FloatArray) -> FloatArray:
 
 @compiled
 def to_rotation_vector(q: FloatArray) -> FloatArray:
-    """The logarithm, the short way round (|r| ≤ π rad); shape (4,) -> (3,)."""
+    """Return the logarithm, the short way round (|r| ≤ π rad); shape (4,) -> (3,)."""
     w = abs(q[0])
     sign = -1.0 if q[0] < 0.0 else 1.0
     sine = math.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
@@ -103,7 +103,7 @@ def to_rotation_vector(q: FloatArray) -> FloatArray:
 
 @compiled
 def angle_between(q_wa: FloatArray, q_wb: FloatArray) -> float:
-    """Angle of the rotation between two orientations, 0 to π rad; shapes (4,), (4,)."""
+    """Return angle of the rotation between two orientations, 0 to π rad; shapes (4,), (4,)."""
     difference = multiply(conjugate(q_wa), q_wb)
     x, y, z = difference[1], difference[2], difference[3]
     return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(difference[0]))
@@ -111,7 +111,7 @@ def angle_between(q_wa: FloatArray, q_wb: FloatArray) -> float:
 
 @compiled
 def slerp(q_wa: FloatArray, q_wb: FloatArray, fraction: float) -> FloatArray:
-    """The orientation at ``fraction`` of the short way from a to b; shapes (4,), (4,) -> (4,)."""
+    """Return the orientation at ``fraction`` of the short way from a to b; shapes (4,), (4,) -> (4,)."""
     step = to_rotation_vector(multiply(conjugate(q_wa), q_wb))
     return normalise(multiply(q_wa, from_rotation_vector(fraction * step)))
 

@@ -22,7 +22,7 @@ SMALL_TURN = 0.5
 
 @compiled
 def from_rotation_vector(r: FloatArray) -> FloatArray:
-    """The exponential (Rodrigues); shape (3,) -> (3, 3)."""
+    """Return the exponential (Rodrigues); shape (3,) -> (3, 3)."""
     R = np.empty((3, 3))
     exponential_into(R, r[0], r[1], r[2])
     return R
@@ -50,7 +50,7 @@ def exponential_into(R: FloatArray, x: float, y: float, z: float) -> None:
 
 @compiled
 def multiply(A: FloatArray, B: FloatArray) -> FloatArray:
-    """A B; shapes (3, 3), (3, 3) -> (3, 3)."""
+    """Return a B; shapes (3, 3), (3, 3) -> (3, 3)."""
     C = np.empty((3, 3))
     multiply_into(C, A, B)
     return C

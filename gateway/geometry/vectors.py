@@ -12,7 +12,7 @@ from gateway.geometry.compiled import compiled
 
 @compiled
 def vector(x: float, y: float, z: float) -> FloatArray:
-    """A new (3,) array."""
+    """Return a new (3,) array."""
     v = np.empty(3)
     v[0], v[1], v[2] = x, y, z
     return v
@@ -33,13 +33,13 @@ def dot(a: FloatArray, b: FloatArray) -> float:
 
 @compiled
 def norm(a: FloatArray) -> float:
-    """Length of a (3,) vector."""
+    """Return length of a (3,) vector."""
     return math.sqrt(dot(a, a))
 
 
 @compiled
 def skew(a: FloatArray) -> FloatArray:
-    """The (3, 3) matrix [a]× with [a]× b = a × b."""
+    """Return the (3, 3) matrix [a]× with [a]× b = a × b."""
     m = np.zeros((3, 3))
     m[0, 1], m[0, 2] = -a[2], a[1]
     m[1, 0], m[1, 2] = a[2], -a[0]
@@ -49,5 +49,5 @@ def skew(a: FloatArray) -> FloatArray:
 
 @compiled
 def is_finite(a: FloatArray) -> bool:
-    """True when none of the three is NaN or infinite."""
+    """Return True when none of the three is NaN or infinite."""
     return math.isfinite(a[0]) and math.isfinite(a[1]) and math.isfinite(a[2])

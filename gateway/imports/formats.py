@@ -79,7 +79,7 @@ def _read_csv(paths: Sequence[Path], options: ReadOptions) -> Recording:
 
     if options.columns is None:
         raise GatewayError(
-            "a CSV file of no known maker: name its columns with --columns MAP.yaml (see docs/imports.md)"
+            "a CSV file of no known maker: name its columns with --columns MAP.yaml (docs/guide/imports.md)"
         )
     if len(paths) > 1:
         raise GatewayError("name the files of several modules in the map ('file:'), and import one")
@@ -108,12 +108,13 @@ FORMATS: dict[str, Format] = {
 
 
 def read(paths: Sequence[Path], name: str, options: ReadOptions) -> Recording:
-    """The recording in files of a format. Raises ``FormatError`` and ``GatewayError``."""
+    """Return the recording in files of a format. Raises ``FormatError`` and ``GatewayError``."""
     return FORMATS[name].read(paths, options)
 
 
 def detected(paths: Sequence[Path], options: ReadOptions) -> str:
-    """The name of the format that files have, by what is in the first of them. Raises ``FormatError``."""
+    """Return the name of the format that files have, by what is in the first of them. Raises
+    ``FormatError``."""
     if options.columns is not None:
         return "csv"
     path = paths[0]
@@ -151,7 +152,7 @@ _MARKS = {
 
 
 def _files_in(paths: Sequence[Path]) -> list[Path]:
-    """The files themselves; of a folder, those with numbers in them."""
+    """Return the files themselves; of a folder, those with numbers in them."""
     files = []
     for path in paths:
         within = sorted(each for each in path.glob("*") if each.suffix.lower() in {".txt", ".csv"})

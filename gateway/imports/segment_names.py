@@ -46,7 +46,8 @@ class SegmentNames:
 
 
 def segment_of(name: str) -> tuple[str, bool] | None:
-    """The segment that a name means, and whether its side had to be guessed; None when it means none."""
+    """Return the segment that a name means, and whether its side had to be guessed; None when it means
+    none."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     words = [word for word in re.split(r"[^a-z0-9]+", spaced.lower()) if word and word not in _NOT_WORN]
     sides = [_SIDES[word] for word in words if word in _SIDES]
@@ -60,7 +61,7 @@ def segment_of(name: str) -> tuple[str, bool] | None:
 
 
 def mapped_segments(names: Mapping[int, str], given: Mapping[str, str], known: Sequence[str]) -> SegmentNames:
-    """Segments of modules, by ``given`` (name or end of a name to segment) or else by what names mean.
+    """Return segments of modules, by ``given`` (name or end of a name to segment) or else by what names mean.
 
     known: the segments there are. Raises ``GatewayError`` for one that is not, for a given name that no
     module has, and for two modules on one segment.
@@ -86,7 +87,7 @@ def mapped_segments(names: Mapping[int, str], given: Mapping[str, str], known: S
 
 
 def _given_for(name: str, given: Mapping[str, str]) -> str | None:
-    """The key of ``given`` that is the name, or its end (a serial number)."""
+    """Return the key of ``given`` that is the name, or its end (a serial number)."""
     if name in given:
         return name
     ends = [key for key in given if name.lower().endswith(key.lower().lstrip("_"))]

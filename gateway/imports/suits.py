@@ -33,7 +33,7 @@ class Worn:
 
 
 def dressed(worn: Worn, body: str | None = None, *, whole: bool = False, mvn_axes: bool = False) -> WornSuit:
-    """The suit of a recording.
+    """Return the suit of a recording.
 
     body: name or file; None: a person. whole: keep segments that nothing is worn on. mvn_axes: modules are
     segments in the axes of MVN (x forward, y left, z up) instead of modules of which nothing is known.
@@ -66,7 +66,7 @@ def dressed(worn: Worn, body: str | None = None, *, whole: bool = False, mvn_axe
 def aligned(
     suit: WornSuit, seen: SkeletonArrays, start_s: float, end_s: float, forward: str | None
 ) -> WornSuit:
-    """The suit whose wearer stood in the neutral posture from ``start_s`` to ``end_s``.
+    """Return the suit whose wearer stood in the neutral posture from ``start_s`` to ``end_s``.
 
     seen: poses solved with the suit as it was. forward: axis of the root's module that pointed to where the
     person looked (``x``, ``-z`` …), None: the person looked east. Raises ``GatewayError``.

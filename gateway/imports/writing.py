@@ -30,7 +30,7 @@ LINK = "imported"
 _FIRST_NS = 10**9
 """Gateway time at the beginning of a recording whose date is not known."""
 _STATISTICS_NS = 5 * 10**9
-_CHUNKS_A_TELLING = 256
+_CHUNKS_A_REPORT = 256
 _LONGEST_WAIT_MS = 500.0
 
 
@@ -46,7 +46,7 @@ class Imported:
 
 
 def settings_of(recording: Recording, rig: str, reconstructor: str | None = None) -> GatewaySettings:
-    """A configuration for it: one clock, frames as often as samples.
+    """Return a configuration for it: one clock, frames as often as samples.
 
     reconstructor: None for the modules' own orientations where there are no angular rates to fuse.
     """
@@ -64,14 +64,14 @@ def settings_of(recording: Recording, rig: str, reconstructor: str | None = None
 
 
 def chunks_of(recording: Recording) -> Iterator[Chunk]:
-    """What a link would have given: the packets of one instant together, at that instant."""
+    """Yield what a link would have given: the packets of one instant together, at that instant."""
     begun_ns = recording.begun_utc_ns or _FIRST_NS
     for time_s, sent in groupby(play(recording), key=lambda each: each.time_s):
         yield Chunk(b"".join(each.data for each in sent), begun_ns + round(time_s * 1e9), LINK)
 
 
 def solved(recording: Recording, suit: WornSuit, settings: GatewaySettings) -> SkeletonArrays | None:
-    """Its poses, without writing anything; None when there are none."""
+    """Return its poses, without writing anything; None when there are none."""
     frames = _pipeline(settings, suit).replay(chunks_of(recording))
     return arrays_of(frames, suit.skeleton)
 
@@ -108,7 +108,7 @@ def write_imported(
             if chunk.arrived_ns - counted_ns >= _STATISTICS_NS:
                 counted_ns = chunk.arrived_ns
                 _add_statistics(writer, pipeline, counted_ns)
-            if progress is not None and chunks % _CHUNKS_A_TELLING == 0:
+            if progress is not None and chunks % _CHUNKS_A_REPORT == 0:
                 writer.flush()
                 progress(chunk.arrived_ns - begun_ns, end_ns - begun_ns)
         _add_statistics(writer, pipeline, end_ns)
@@ -116,7 +116,7 @@ def write_imported(
 
 
 def is_fused(settings: GatewaySettings) -> bool:
-    """Whether the poses rest on the modules' own orientations."""
+    """Return whether the poses rest on the modules' own orientations."""
     return settings.reconstructor in FUSED
 
 

@@ -50,7 +50,8 @@ class Wardrobe:
         }
 
     def propose(self, segment: str, unique_id: str) -> Proposal:
-        """What makes this module that of the segment. Raises ``KeyError`` for one that was not heard."""
+        """Return what makes this module that of the segment. Raises ``KeyError`` for one that was not
+        heard."""
         wanted, before = self.segments[segment], self.ids[unique_id]
         holders = [uid for uid, module in self.ids.items() if module == wanted and uid != unique_id]
         return Proposal(segment, unique_id, before, wanted, holders[0] if holders else None)

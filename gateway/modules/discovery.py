@@ -32,10 +32,10 @@ async def discovered(seconds: float, host: str = EVERYWHERE) -> list[Announced]:
     await asyncio.gather(*waiting, return_exceptions=True)
     for task in done:
         task.result()
-    return _told_apart(sorted(found.values(), key=lambda each: (each.carries, each.name, each.unique_id)))
+    return _renamed(sorted(found.values(), key=lambda each: (each.carries, each.name, each.unique_id)))
 
 
-def _told_apart(found: Sequence[Announced]) -> list[Announced]:
+def _renamed(found: Sequence[Announced]) -> list[Announced]:
     """Add their numbers to names that several have, as from the factory: links need names of their own."""
     names = Counter(each.name for each in found if each.entry is None)
     return [

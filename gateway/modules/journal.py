@@ -173,7 +173,7 @@ class Journal:
 
 
 def _merged(changes: Iterable[Change]) -> tuple[Change, ...]:
-    """One change for each module."""
+    """Return one change for each module."""
     by_module: dict[bytes, Change] = {}
     for change in changes:
         known = by_module.get(change.unique_id, Change(change.unique_id, {}, {}))

@@ -47,7 +47,7 @@ class MakersModule(NamedTuple):
         return self.description.unique_id
 
     def is_meant(self, name: str) -> bool:
-        """Whether it goes by a module id or the beginning of a serial number."""
+        """Return whether it goes by a module id or the beginning of a serial number."""
         wanted = name.strip().lower()
         return wanted == str(self.module) or (len(wanted) > 3 and self.unique_id.startswith(wanted))
 

@@ -41,7 +41,7 @@ class ModuleLog:
         self._lines: dict[int, int] = {}
 
     def listen_to(self, stream: Stream) -> None:
-        """Log what a stream hears from now on."""
+        """Log what a stream receives from now on."""
         stream.listen(Event, self.take)
         stream.listen(LogLine, self.take)
 
@@ -62,7 +62,7 @@ class ModuleLog:
             _log.log(level, "module %d: %s%s", received.module, text, more)
 
     def _suppressed(self, module: int, interval: int) -> int | None:
-        """How many lines were left out just before this one; None: this one is left out too."""
+        """Return how many lines were left out just before this one; None: this one is left out too."""
         left_out = 0
         if self._interval.get(module) != interval:
             left_out = max(0, self._lines.get(module, 0) - MOST_LINES)
@@ -79,7 +79,7 @@ class Strangers:
         self._stream, self._unworn = stream, frozenset({RELAY, *unworn})
         self.names = module_names(suit)
         """What each module of the rig is on, by id."""
-        self._told: set[int] = set()
+        self._reported: set[int] = set()
 
     @property
     def known(self) -> int:
@@ -90,9 +90,9 @@ class Strangers:
         """Return who is heard and not in the rig, and what to do; None when that was told already."""
         heard = self._stream.modules
         strangers = {module for module in heard if module not in self.names} - self._unworn
-        if strangers <= self._told:
+        if strangers <= self._reported:
             return None
-        self._told |= strangers
+        self._reported |= strangers
         listed = ", ".join(_named(module, heard[module]) for module in sorted(strangers))
         silent = [f"{module} ({name})" for module, name in self.names.items() if module not in heard]
         missing = f"; of the rig, not heard: {', '.join(silent)}" if silent else ""

@@ -147,7 +147,7 @@ class MotionDetector:
             self._since_s = now_s if self._since_s is None else self._since_s
 
     def decide(self, now_s: float) -> Motion | tuple[int, ...] | None:
-        """The module meant; or the modules that cannot be told apart; or None: nothing moved yet.
+        """Return the module meant; or the modules that cannot be told apart; or None: nothing moved yet.
 
         What was decided on is forgotten.
         """

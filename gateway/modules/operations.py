@@ -103,7 +103,7 @@ class ModuleOperations:
         return self._stream
 
     def unverified(self, link: str) -> Mapping[Defect, int]:
-        """What a signed link dropped for its signatures, by reason."""
+        """Return what a signed link dropped for its signatures, by reason."""
         found = self._client.links[link]
         return found.counts.unverified if isinstance(found, ReconnectingLink) else {}
 

@@ -129,7 +129,7 @@ class _Sources:
 
 
 def connect_client(client: CommandClient, stream: Stream) -> None:
-    """Have a client told what a stream hears, and of whom."""
+    """Pass what a stream receives, and from whom, on to a client."""
     client.senders = stream.senders
     for packet_class in LISTENS_TO:
         stream.listen(packet_class, client.take)

@@ -1,4 +1,4 @@
-"""What is told of each module: in a list, and published from time to time.
+"""State of each module, as listed and as published from time to time.
 
 Whether a module is heard is judged by packets coming in from one look to the next, not by their arrival
 times: a recording's are those of the day it was made.
@@ -84,12 +84,12 @@ def segments_of(suit: WornSuit) -> dict[str, int]:
 
 
 def module_names(suit: WornSuit) -> dict[int, str]:
-    """What each module or local device of the rig is on, by id."""
+    """Return what each module or local device of the rig is on, by id."""
     return {module: segment for segment, module in segments_of(suit).items()} | local_devices_of(suit)
 
 
 def local_devices_of(suit: WornSuit) -> dict[int, str]:
-    """What to call the local measuring devices, by id."""
+    """Return what to call the local measuring devices, by id."""
     return {
         local.device: f"{suit.skeleton.segment_names[local.segment]} ({local.quantity.name.lower()})"
         for local in suit.local_devices
@@ -98,7 +98,7 @@ def local_devices_of(suit: WornSuit) -> dict[int, str]:
 
 
 def count_samples(stream: Stream, time_ns: int) -> Counts:
-    """Samples received so far, by module id."""
+    """Return samples received so far, by module id."""
     return Counts(
         time_ns, {module: count_module_samples(record) for module, record in stream.modules.items()}
     )
@@ -112,7 +112,8 @@ def summarise(
     after: Counts,
     makers: Mapping[int, MakersModule] | None = None,
 ) -> ModuleList:
-    """The list of a roster, with rates between two counts. makers: modules of others that answered, by id."""
+    """Return the list of a roster, with rates between two counts. makers: modules of others that answered, by
+    id."""
     makers = makers or {}
     segments = segments_of(suit)
     names = module_names(suit)
@@ -166,7 +167,7 @@ def _summary(
 
 
 def _answering(summary: ModuleSummary, other: MakersModule | None) -> ModuleSummary:
-    """The summary of a module that is heard, with what one of another maker has answered."""
+    """Return the summary of a module that is heard, with what one of another maker has answered."""
     if other is None:
         return summary
     told = {"answers": True, "unique_id": other.unique_id, "link": other.link}
@@ -180,12 +181,12 @@ def _conflict(conflict: Conflict) -> ConflictSummary:
 
 
 def count_module_samples(record: ModuleRecord) -> int:
-    """Samples received of one module."""
+    """Return samples received of one module."""
     return sum(record.sequences[kind].received for kind in SAMPLE_KINDS if kind in record.sequences)
 
 
 def clock_state(record: ModuleRecord) -> ModuleClockState:
-    """A module's clock as published."""
+    """Return a module's clock as published."""
     figures = record.clock.figures()
     return ModuleClockState(
         state="settled" if figures.is_settled else "measuring",
@@ -272,7 +273,7 @@ class ModuleStates:
         self._started_ns: int | None = None
 
     def look(self, now_ns: int) -> Iterator[tuple[str, Message]]:
-        """Topics (below the gateway's) and messages that are due. Call it a few times a second."""
+        """Yield topics (below the gateway's) and messages that are due. Call it a few times a second."""
         if self._started_ns is None:
             self._started_ns = now_ns
         for module, record in self._stream.modules.items():
@@ -284,20 +285,21 @@ class ModuleStates:
             yield from self._news(watched, now_ns)
 
     def farewell(self, now_ns: int) -> Iterator[tuple[str, Message]]:
-        """What is to be said when the gateway stops: every module is offline."""
+        """Yield what is to be said when the gateway stops: every module is offline."""
         for watched in self._watched.values():
             watched.is_online = False
             yield from self._say(watched, self.state(watched.module, now_ns), is_change=True)
 
     def states(self, now_ns: int) -> list[ModuleState]:
-        """The figures of all modules as of the last look, by id."""
+        """Return the figures of all modules as of the last look, by id."""
         return [self.state(module, now_ns) for module in sorted(self._watched)]
 
     def state(self, module: int, now_ns: int) -> ModuleState:
-        """The figures of one module. Raises ``KeyError`` for one that is neither in the rig nor heard."""
+        """Return the figures of one module. Raises ``KeyError`` for one that is neither in the rig nor
+        heard."""
         watched, record = self._watched[module], self._stream.modules.get(module)
         last_ns = None if record is None else record.last_arrival_ns
-        told = _told(record)
+        told = _reported(record)
         return ModuleState(
             t_ns=now_ns,
             module=module,
@@ -337,8 +339,8 @@ class ModuleStates:
         yield MODULE_STATE.format(id=watched.module), state
 
 
-def _told(record: ModuleRecord | None) -> dict[str, Any]:
-    """What was counted of a module, and what it says of itself."""
+def _reported(record: ModuleRecord | None) -> dict[str, Any]:
+    """Return what was counted of a module, and what it says of itself."""
     health = None if record is None else record.health
     info = None if record is None else record.info
     return {
@@ -356,5 +358,5 @@ def _told(record: ModuleRecord | None) -> dict[str, Any]:
 
 
 def _differs(state: ModuleState, before: ModuleState) -> bool:
-    """Whether there is anything new but the time of the message."""
+    """Return whether there is anything new but the time of the message."""
     return state.model_copy(update={"t_ns": before.t_ns}) != before

@@ -299,14 +299,14 @@ def _notice_early_hang_up(client: aiomqtt.Client) -> None:
     for a broker that is away, every attempt took two seconds. And it fails itself over one that is given up
     just as the other side closes it, which nobody waits to hear of.
     """
-    told = client._client.on_disconnect
+    original = client._client.on_disconnect
 
     def disconnected(*arguments: Any) -> None:
         if client._connected.cancelled():
             return
         if client._connected.done():
-            assert told is not None
-            told(*arguments)
+            assert original is not None
+            original(*arguments)
         else:
             client._connected.set_exception(aiomqtt.MqttError("it hung up before it had answered"))
             client._connected.exception()  # told here: where nobody waits any more, asyncio need not complain

@@ -121,7 +121,7 @@ class MqttOutput:
         self._properties = properties_of(settings.spoken_protocol, JSON)
         self.instance = secrets.token_hex(8)
         """Another one for every output that is made: tells gateways of one name apart."""
-        self.rights = PublishRights(are_told=settings.spoken_protocol == "5")
+        self.rights = PublishRights(are_reported=settings.spoken_protocol == "5")
         self._twins = TwinWatch(self.topics, self.instance)
         self._name_taken: asyncio.Future[None] | None = None
         self._probe_due = 0.0
@@ -491,7 +491,7 @@ class MqttOutput:
         if self._settings.same_name == "ignore":
             return
         for topic in self._twins.watched:
-            if self.rights.are_told:
+            if self.rights.are_reported:
                 await client.subscribe(topic, options=SubscribeOptions(qos=1, noLocal=True))
             else:
                 await client.subscribe(topic, qos=1)
@@ -633,7 +633,7 @@ class MqttOutput:
     def _is_probing(self) -> bool:
         """Whether the next pose is one that the broker has to answer for, or some topics are refused."""
         rights = self.rights
-        return rights.are_told and (bool(rights.refused) or time.monotonic() >= self._probe_due)
+        return rights.are_reported and (bool(rights.refused) or time.monotonic() >= self._probe_due)
 
     async def _send(self, client: aiomqtt.Client, direct: DirectPublisher, outgoing: list[Outgoing]) -> bool:
         """Publish the messages of a pose; whether the broker takes any of them, as far as it tells.
@@ -642,7 +642,7 @@ class MqttOutput:
         The answer is waited for unless the one before was good.
         """
         self._hold(outgoing)
-        is_probe = self.rights.are_told and time.monotonic() >= self._probe_due
+        is_probe = self.rights.are_reported and time.monotonic() >= self._probe_due
         if not is_probe:
             direct.publish([each for each in outgoing if each.topic not in self.rights.refused])
             await direct.drained()

@@ -30,11 +30,11 @@ FORGET_S = 30.0
 class PublishRights:
     """Which topics the broker refuses to take messages on."""
 
-    def __init__(self, are_told: bool) -> None:
-        """are_told: whether the broker says so, as with MQTT 5."""
+    def __init__(self, are_reported: bool) -> None:
+        """are_reported: whether the broker reports refusals, as with MQTT 5."""
         self.refused: dict[str, str] = {}
         """Reason by topic."""
-        self.are_told = are_told
+        self.are_reported = are_reported
         self._has_answer = False
 
     @property
@@ -51,7 +51,7 @@ class PublishRights:
 
     def answered(self, topic: str, code: ReasonCode) -> None:
         """Note how the broker answered a publication of QoS 1."""
-        if not self.are_told:
+        if not self.are_reported:
             return
         self._has_answer = True
         if not code.is_failure:

@@ -1,4 +1,4 @@
-"""What waits for a broker: poses, of which only the newest are held up, and retained messages."""
+"""What waits for a broker: poses, of which only the newest are kept, and retained messages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from paho.mqtt.properties import Properties
 from gateway.frames import SkeletonFrame
 
 LONGEST_BURST = 512
-"""Poses kept for a broker that takes them: five seconds' worth at 100 Hz, for a machine that was held up."""
+"""Poses kept for a broker that takes them: five seconds' worth at 100 Hz, for a machine that paused."""
 LONGEST_HOLD_S = 0.1
 """A publication, or a queued pose, that waited for the broker for longer shows a slow one."""
 
@@ -24,7 +24,7 @@ class PoseQueue:
     """A bounded queue that tells a burst of our own from a broker that is slow.
 
     The measure is the time that publications spent waiting for the broker while a pose was queued. Where the
-    process itself was held up, poses come many at once and the broker takes them as quickly.
+    process itself paused, poses come many at once and the broker takes them as quickly.
     """
 
     def __init__(self, length: int, clock: Callable[[], float] = time.monotonic) -> None:

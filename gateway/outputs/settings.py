@@ -17,7 +17,7 @@ WEBSOCKET_TOKEN_VARIABLE = "MOCAP_WEBSOCKET_TOKEN"
 """Environment variable that may hold the token with which WebSocket clients publish."""
 
 LONGEST_HORIZON_MS = 100.0
-"""Of a prediction: further ahead guesses are worth little, see the table in docs/outputs.md."""
+"""Of a prediction: further ahead guesses are worth little, see the table in docs/guide/outputs.md."""
 
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost")
 
@@ -176,7 +176,7 @@ class MqttSettings(BaseModel):
         ge=1,
         le=10_000,
         description="Poses kept while the broker is slow or away: then the oldest is dropped and counted. A "
-        "burst after the machine was held up is published whole.",
+        "burst after the machine paused is published whole.",
     )
     decimals: int | None = Field(
         default=6,

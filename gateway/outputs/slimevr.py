@@ -69,14 +69,14 @@ class SlimevrSink:
         self._battery = battery
         sensors = sensors_of(skeleton, settings.segments)
         self._rows = [skeleton.index(name) for name in sensors.values()]
-        self._told = [SensorInfo(number, 1, _UNKNOWN_IMU, 0) for number in sensors]
+        self._sensors = [SensorInfo(number, 1, _UNKNOWN_IMU, 0) for number in sensors]
         # of a range that nobody is given: two gateways are two trackers
         mac = "02" + hashlib.sha256(gateway.encode()).hexdigest()[:10]
         self._identity = Handshake(wire.VERSION, FIRMWARE, mac, _UNKNOWN_IMU, _CUSTOM_BOARD)
         self._socket: socket.socket | None = None
         self._ticking: asyncio.TimerHandle | None = None
         self._charge_due_s = 0.0
-        self.session = TrackerSession(self._identity, self._told)
+        self.session = TrackerSession(self._identity, self._sensors)
 
     async def open(self) -> None:
         """Find the server's address, and begin to look for it. Raises ``OutputError`` for an unknown host."""
@@ -91,7 +91,7 @@ class SlimevrSink:
         self._socket = socket.socket(family, kind, protocol)
         self._socket.setblocking(False)
         self._socket.connect(address)  # nobody else is heard
-        self.session = TrackerSession(self._identity, self._told)
+        self.session = TrackerSession(self._identity, self._sensors)
         self._charge_due_s = 0.0
         loop.add_reader(self._socket, self._receive)
         self._tick()

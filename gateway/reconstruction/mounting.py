@@ -61,7 +61,7 @@ NOBODY = -1
 class Worn(NamedTuple):
     """Constant."""
 
-    is_told: StatusArray  # (n,) whether the rig says where the module sits
+    is_known: StatusArray  # (n,) whether the rig says where the module sits
     R_bs: FloatArray  # (n, 3, 3)
     turns: FloatArray  # (23, 3, 3)
 
@@ -80,8 +80,8 @@ class MountingState(NamedTuple):
 def worn_of(suit: WornSuit) -> Worn:
     """What is judged of a suit."""
     arms = np.linalg.norm(np.asarray(suit.lever_arms, np.float64), axis=1)
-    is_told = (suit.module_of_segment >= 0) & (arms > 0.0)
-    return Worn(is_told.astype(np.uint8), sensor_to_segment_matrices(suit), _turns())
+    is_known = (suit.module_of_segment >= 0) & (arms > 0.0)
+    return Worn(is_known.astype(np.uint8), sensor_to_segment_matrices(suit), _turns())
 
 
 def _turns() -> FloatArray:
@@ -139,7 +139,7 @@ def judge_mounting(joints: Joints, agreement: AgreementState, worn: Worn, state:
     """Judge anew how all modules are worn, ``JUDGED_EVERY_S`` after the last time."""
     state.since_s[0] = 0.0
     n = len(joints.sides)
-    now, asked = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1))), _told(joints, agreement, worn)
+    now, asked = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1))), _asked(joints, agreement, worn)
     explained: set[int] = set()
     for i in np.flatnonzero(state.is_doubtful):  # what still holds is not looked for again: that costs most
         asked = _kept(joints, agreement, state, now, asked, explained, int(i))
@@ -178,11 +178,11 @@ def _kept(
     return _explained(joints, agreement, now, asked, Found(0.0, s, partner, 0))
 
 
-def _told(joints: Joints, agreement: AgreementState, worn: Worn) -> Asked:
+def _asked(joints: Joints, agreement: AgreementState, worn: Worn) -> Asked:
     """How the joints agree with what the rig says."""
     _, turned, power, swing = pairs_of(joints.sides, agreement.pairs).T
-    is_told = (worn.is_told > 0) & (worn.is_told[joints.sides["parent"]] > 0)
-    can_tell = (power >= LEAST_ACCELERATION**2) & is_told
+    is_known = (worn.is_known > 0) & (worn.is_known[joints.sides["parent"]] > 0)
+    can_tell = (power >= LEAST_ACCELERATION**2) & is_known
     floor = ARM_OFF**2 * swing + TILT_OFF**2 * power + NOISE**2
     return Asked(np.where(can_tell, turned, np.nan), np.where(can_tell, floor, np.nan))
 
@@ -254,7 +254,7 @@ def _best(
     largest = np.nan_to_num(0.5 * np.log1p(asked.difference / asked.floor))  # nepers, by joint
     if largest.sum() < GAIN:
         return best  # as in every suit that is worn right
-    is_free = worn.is_told > 0
+    is_free = worn.is_known > 0
     is_free[list(explained)] = False
     at_work = Arrangement(now.place.copy(), now.turn.copy())
     heard = Heard(joints.sides, agreement.pairs)

@@ -72,18 +72,18 @@ class Resets:
             raise GatewayError("there is no pose yet: wait until the suit is heard")
         now = self._at(came.time_ns)
         turn, mounting, shift = 0.0, self._to.mounting, self._to.shift - now.shift
-        raw, anchored = came.p_w[came.root], shown.p_w[shown.root]
-        is_placed = bool(np.isfinite(raw).all() and np.isfinite(anchored).all())
+        raw, fixed = came.p_w[came.root], shown.p_w[shown.root]
+        is_placed = bool(np.isfinite(raw).all() and np.isfinite(fixed).all())
         if kind == "position":
             if not is_placed:
                 raise GatewayError("nobody knows the place of the body: set root_motion in the configuration")
-            shift = np.array([-anchored[0], -anchored[1], 0.0])
+            shift = np.array([-fixed[0], -fixed[1], 0.0])
         else:
             heading = self._heading_of(shown.q_wb[shown.root])
             turn = 0.0 if kind == "mounting" else _wrapped(facing - heading)
             mounting = now.mounting if kind == "heading" else self._to_neutral(came, now, heading)
         if is_placed:
-            self._anchor = raw.copy(), anchored.copy()
+            self._anchor = raw.copy(), fixed.copy()
         to = now.heading if kind != "position" else self._to.heading
         self._from = replace(now, shift=np.zeros(3))
         self._to = _Correction(to + turn, mounting, shift)
@@ -170,10 +170,10 @@ class Resets:
 
     def _turned(self, markers: MarkerFit, turn: FloatArray, shift: FloatArray) -> MarkerFit:
         """With the root, so that residuals stay what they are; a reset of the mounting does not move them."""
-        raw, anchored = self._anchor
+        raw, fixed = self._anchor
         turned = quaternion.to_matrix(turn).T
         places = {
-            name: anchored + shift + (getattr(markers, name) - raw) @ turned
+            name: fixed + shift + (getattr(markers, name) - raw) @ turned
             for name in ("positions", "virtual", "unlabelled")
         }
         return replace(markers, **places)
@@ -184,9 +184,9 @@ class Resets:
         """Joints by forward kinematics from the root, which turns about where it was at the reset."""
         if not np.isfinite(frame.p_w).any():
             return frame.p_w
-        raw, anchored = self._anchor
+        raw, fixed = self._anchor
         tree = self._skeleton
-        root = anchored + shift + quaternion.rotate(turn, frame.p_w[frame.root] - raw)
+        root = fixed + shift + quaternion.rotate(turn, frame.p_w[frame.root] - raw)
         from_first = joint_positions(tree.parents, tree.offsets, q_wb, np.zeros(3))
         p_w: FloatArray = from_first + (root - from_first[frame.root])
         return p_w

@@ -71,7 +71,7 @@ class SkeletonArrays:
 
 
 def _exact(rate_hz: float) -> float:
-    """The shortest decimal number that whole nanoseconds of an interval cannot tell from a rate."""
+    """Return the shortest decimal number that whole nanoseconds of an interval cannot tell from a rate."""
     for decimals in range(9):
         rounded = round(rate_hz, decimals)
         if abs(rounded - rate_hz) <= 1e-9 * rate_hz * rate_hz:
@@ -80,7 +80,7 @@ def _exact(rate_hz: float) -> float:
 
 
 def arrays_of(frames: Iterable[SkeletonFrame], skeleton: Skeleton) -> SkeletonArrays | None:
-    """Frames of one skeleton stacked; None when there are none.
+    """Return frames of one skeleton stacked; None when there are none.
 
     Raises ``ValueError`` for a frame of another number of segments.
     """
@@ -109,7 +109,7 @@ def arrays_of(frames: Iterable[SkeletonFrame], skeleton: Skeleton) -> SkeletonAr
 def marker_arrays(
     labels: tuple[str, ...], time_ns: IntArray, fits: Mapping[int, MarkerFit]
 ) -> MarkerArrays | None:
-    """The fits by instant stacked for the frames at ``time_ns`` (F,); None when there is none.
+    """Return the fits by instant stacked for the frames at ``time_ns`` (F,); None when there is none.
 
     One of another number of markers is left out.
     """

@@ -69,7 +69,7 @@ def difference(first: SkeletonArrays, second: SkeletonArrays) -> Difference:
 
 
 def _together(first: SkeletonArrays, second: SkeletonArrays) -> tuple[IntArray, IntArray]:
-    """Rows of frames that belong together, each used once."""
+    """Return rows of frames that belong together, each used once."""
     rates = [arrays.rate_hz for arrays in (first, second) if arrays.rate_hz]
     tolerance_ns = 0.5e9 / max(rates) if rates else 0.0
     order = np.argsort(second.time_ns, kind="stable")

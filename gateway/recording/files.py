@@ -43,7 +43,7 @@ def free_bytes(folder: Path) -> int:
 
 
 def prepare_folder(settings: RecordingSettings, free: Callable[[Path], int] = free_bytes) -> Path:
-    """The folder of the recordings, made if absent, with room for one.
+    """Return the folder of the recordings, made if absent, with room for one.
 
     Raises ``RecordingError`` where no file can be made in it, or the room is too little.
     """
@@ -202,7 +202,7 @@ class SessionFiles:
 
 
 def _checked(name: str | None) -> str | None:
-    """The name itself, or none. Raises ``RecordingError`` for one that could mean another folder."""
+    """Return the name itself, or none. Raises ``RecordingError`` for one that could mean another folder."""
     if name is not None and not re.fullmatch(RECORDING_NAME, name):
         raise RecordingError(
             f"'{name[:80]}' is no name for a recording: up to 64 letters, digits, '-' and '_', and no path"

@@ -21,7 +21,7 @@ from gateway.recording.reading import Progress
 from gateway.settings import AssemblySettings, GatewaySettings
 from gateway.sources.link_settings import LinkSettings
 
-_CHUNKS_A_TELLING = 16
+_CHUNKS_A_REPORT = 16
 
 
 def imported_session(
@@ -32,7 +32,7 @@ def imported_session(
     begun_utc_ns: int = 0,
     solved_by: str = "",
 ) -> dict[str, str]:
-    """The metadata record of ``target``.
+    """Return the metadata record of ``target``.
 
     imported_from: kind of source; begun_utc_ns: 0 where the date is not known; solved_by: a method that the
     configuration does not name.
@@ -89,13 +89,13 @@ def solve_into(
         add_solved(writer, chunk, content, made)
         frames += len(made)
         solved(index)
-        if progress is not None and index % _CHUNKS_A_TELLING == 0:
+        if progress is not None and index % _CHUNKS_A_REPORT == 0:
             progress(index, len(chunks))
     return frames, spent
 
 
 def origin_event(kind: str, sources: Iterable[Path], time_ns: int, **more: Any) -> bytes:
-    """The event that tells which files, with their checksums, it all came from. Raises OSError."""
+    """Return the event that tells which files, with their checksums, it all came from. Raises OSError."""
     files = {
         path.name: hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "folder"
         for path in sources

@@ -19,7 +19,7 @@ _LITTLE = np.dtype("<f8")
 
 
 def encode_skeleton_frame(frame: SkeletonFrame) -> bytes:
-    """A frame as bytes. An array that is NaN throughout (the usual NaN, to the bit) is left out."""
+    """Return a frame as bytes. An array that is NaN throughout (the usual NaN, to the bit) is left out."""
     n_segments = len(frame.status)
     mask, parts = 0, []
     for bit, (name, width) in enumerate(_ARRAYS):
@@ -32,7 +32,7 @@ def encode_skeleton_frame(frame: SkeletonFrame) -> bytes:
 
 
 def decode_skeleton_frame(data: bytes) -> SkeletonFrame:
-    """The frame that ``data`` was made of. Raises ``ValueError`` for bytes that are none."""
+    """Return the frame that ``data`` was made of. Raises ``ValueError`` for bytes that are none."""
     if len(data) < _HEAD.size:
         raise ValueError(f"{len(data)} bytes are no skeleton frame")
     sequence, time_ns, root, n_segments, mask, _ = _HEAD.unpack_from(data)
@@ -80,7 +80,7 @@ class RecordedMarkers:
 
 
 def frame_messages(frame: SkeletonFrame) -> Iterator[tuple[str, bytes]]:
-    """Topic and message of everything that is recorded of a pose."""
+    """Yield topic and message of everything that is recorded of a pose."""
     yield fmt.SKELETON, encode_skeleton_frame(frame)
     if frame.markers is not None:
         yield fmt.MARKERS, encode_markers_of(frame.sequence, frame.time_ns, frame.markers)
@@ -99,7 +99,7 @@ def encode_markers_of(sequence: int, time_ns: int, fit: MarkerFit) -> bytes:
 
 
 def decode_markers(data: bytes) -> RecordedMarkers:
-    """What ``data`` was made of. Raises ``ValueError`` for bytes that are none."""
+    """Return what ``data`` was made of. Raises ``ValueError`` for bytes that are none."""
     if len(data) < _MARKERS_HEAD.size:
         raise ValueError(f"{len(data)} bytes tell of no markers")
     sequence, time_ns, n, n_nameless = _MARKERS_HEAD.unpack_from(data)

@@ -37,7 +37,7 @@ _log = logging.getLogger(__name__)
 Progress = Callable[[int, int], None]
 """Told bytes read and bytes in all, now and then."""
 
-_MESSAGES_A_TELLING = 512
+_MESSAGES_A_REPORT = 512
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,23 +183,24 @@ class Recording:
         return self._decoded("/", progress)
 
     def chunks(self, progress: Progress | None = None) -> Iterator[Chunk]:
-        """What came over the links, not parsed."""
+        """Return what came over the links, not parsed."""
         return (
             item for item in self._decoded((fmt.CHUNKS, fmt.DATAGRAMS), progress) if isinstance(item, Chunk)
         )
 
     def inputs(self, progress: Progress | None = None) -> Iterator[LinkItem]:
-        """All that a reconstruction depends on: what came over the links, what was written to them, and
-        events, of which resets and calibrations count."""
+        """Return all that a reconstruction depends on: what came over the links, what was written to them,
+        and events, of which resets and calibrations count."""
         inputs = self._decoded((*fmt.OF_LINKS, fmt.EVENTS), progress)
         return (item for item in inputs if isinstance(item, LinkItem))
 
     def sent(self) -> Iterator[SentChunk]:
-        """What the gateway wrote to the links."""
+        """Return what the gateway wrote to the links."""
         return (item for item in self._decoded(fmt.SENT) if isinstance(item, SentChunk))
 
     def events(self) -> Iterator[InputEvent]:
-        """What happened: ``link``, ``module_restarted``, ``recording_begun``, ``reset``, ``calibrated``, …"""
+        """Return what happened: ``link``, ``module_restarted``, ``recording_begun``, ``reset``,
+        ``calibrated``, …"""
         return (item for item in self._decoded(fmt.EVENTS) if isinstance(item, InputEvent))
 
     def statistics(self) -> Iterator[RecordedStatistics]:
@@ -207,15 +208,15 @@ class Recording:
         return (item for item in self._decoded(fmt.STATISTICS) if isinstance(item, RecordedStatistics))
 
     def skeleton_frames(self, progress: Progress | None = None) -> Iterator[SkeletonFrame]:
-        """The reconstruction as it was while recording."""
+        """Return the reconstruction as it was while recording."""
         return (item for item in self._decoded(fmt.SKELETON, progress) if isinstance(item, SkeletonFrame))
 
     def markers(self) -> Iterator[RecordedMarkers]:
-        """What became of the markers, of poses made from any."""
+        """Return what became of the markers, of poses made from any."""
         return (item for item in self._decoded(fmt.MARKERS) if isinstance(item, RecordedMarkers))
 
     def skeleton_arrays(self, progress: Progress | None = None) -> SkeletonArrays:
-        """The whole reconstruction as arrays. Raises ``RecordingError`` when none was recorded."""
+        """Return the whole reconstruction as arrays. Raises ``RecordingError`` when none was recorded."""
         fits: dict[int, MarkerFit] = {}
         arrays = arrays_of(self._frames_with(fits, progress), self.meta.skeleton)
         if arrays is None:
@@ -230,7 +231,7 @@ class Recording:
         return replace(arrays, markers=marker_arrays(self.meta.suit.markers.labels, arrays.time_ns, fits))
 
     def _frames_with(self, fits: dict[int, MarkerFit], progress: Progress | None) -> Iterator[SkeletonFrame]:
-        """The reconstruction; what became of its markers goes to ``fits``, by instant."""
+        """Yield the reconstruction; what became of its markers goes to ``fits``, by instant."""
         for item in self._decoded((fmt.SKELETON, fmt.MARKERS), progress):
             if isinstance(item, RecordedMarkers):
                 fits[item.time_ns] = item.fit
@@ -240,10 +241,11 @@ class Recording:
     def _decoded(
         self, prefix: str | tuple[str, ...], progress: Progress | None = None
     ) -> Iterator[RecordedItem]:
-        """Messages whose topic begins so, decoded. One that cannot be is left out, as damaged ones are."""
+        """Yield messages whose topic begins so, decoded. One that cannot be is left out, as damaged ones
+        are."""
         total = self.parts.size
         for count, message in enumerate(self.parts.messages()):
-            if progress is not None and count % _MESSAGES_A_TELLING == 0:
+            if progress is not None and count % _MESSAGES_A_REPORT == 0:
                 progress(self.parts.position, total)
             if message.topic.startswith(prefix):
                 item = decode_message(message)
@@ -287,7 +289,7 @@ def _take_out_unknown(plain: dict[str, Any]) -> str:
 
 
 def open_recording(path: str | Path) -> Recording:
-    """The recording in a file, with the later parts of its session that lie beside it.
+    """Return the recording in a file, with the later parts of its session that lie beside it.
 
     A file that was never closed (kill, power cut) is read up to its last good byte. Raises ``RecordingError``
     for a file that is absent or no recording.
@@ -296,7 +298,7 @@ def open_recording(path: str | Path) -> Recording:
 
 
 def decode_message(message: RecordedMessage) -> RecordedItem | None:
-    """A message's meaning; None for a topic or content that this version does not know."""
+    """Return a message's meaning; None for a topic or content that this version does not know."""
     topic, time_ns, data = message
     if topic.startswith((fmt.CHUNKS, fmt.DATAGRAMS)):
         return fmt.chunk_of(topic, time_ns, data)

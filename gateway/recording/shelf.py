@@ -62,7 +62,7 @@ class Shelf:
         }
 
     def beside(self, others: Perform) -> Perform:
-        """All verbs of the family: these, and those that ``others`` carries out."""
+        """Return all verbs of the family: these, and those that ``others`` carries out."""
 
         async def perform(verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
             if verb not in self._verbs:
@@ -87,7 +87,7 @@ class Shelf:
         unnamed = [r for r in recordings if not _can_be_asked_for(r)]
         recordings = [r for r in recordings if _can_be_asked_for(r)]
         recordings.sort(key=lambda each: each.meta.begun_utc_ns, reverse=True)
-        answer["recordings"] = [self._told(recording) for recording in islice(recordings, most)]
+        answer["recordings"] = [self._summary(recording) for recording in islice(recordings, most)]
         answer["problems"] = [str(each) for each in found if isinstance(each, RecordingError)]
         answer["problems"] += [
             _UNNAMED.format(name=each.parts.path.name[:_LONGEST_QUOTED]) for each in unnamed
@@ -95,7 +95,7 @@ class Shelf:
         answer["free_mb"] = round(free_bytes(self._folder) / _MB)
         return answer
 
-    def _told(self, recording: Recording) -> dict[str, Any]:
+    def _summary(self, recording: Recording) -> dict[str, Any]:
         summary, path = summarise(recording), recording.parts.path
         beside = (path.with_suffix(each.suffix) for each in FORMATS.values())
         return {
@@ -129,7 +129,7 @@ class Shelf:
         return {"file": path.name, "bytes": size, "data": base64.b64encode(piece).decode()}
 
     def _kept(self, name: str) -> Path:
-        """A file of the folder. Raises ``RecordingError`` for anything else."""
+        """Return a file of the folder. Raises ``RecordingError`` for anything else."""
         path = self._folder / name
         is_within = path.is_file() and path.resolve().parent == self._folder.resolve()
         if path.suffix not in _ENDINGS or not is_within:
@@ -138,12 +138,13 @@ class Shelf:
 
 
 def _can_be_asked_for(recording: Recording) -> bool:
-    """Whether requests can name all its files."""
+    """Return whether requests can name all its files."""
     return all(re.fullmatch(KEPT_FILE, file.path.name) for file in recording.parts.files)
 
 
 def outline_of(recording: Recording) -> list[list[float]]:
-    """The body half-way through, from the front: x, y to x, y of each segment, m; empty where none is known.
+    """Return the body half-way through, from the front: x, y to x, y of each segment, m; empty where none is
+    known.
 
     x to the body's right, as the reader sees it to the left; y up.
     """
@@ -164,7 +165,7 @@ def outline_of(recording: Recording) -> list[list[float]]:
 
 
 def _half_way(recording: Recording) -> SkeletonFrame | None:
-    """A pose from the middle of the first part; None where that has no index, or no poses."""
+    """Return a pose from the middle of the first part; None where that has no index, or no poses."""
     with suppress(*DAMAGE, OSError, StopIteration), recording.parts.path.open("rb") as stream:
         reader = SeekingReader(stream, record_size_limit=LARGEST_RECORD)
         summary = reader.get_summary()
@@ -177,7 +178,7 @@ def _half_way(recording: Recording) -> SkeletonFrame | None:
 
 
 def _piece(path: Path, offset: int, length: int) -> tuple[bytes, int]:
-    """Bytes from there on, and how many there are in all."""
+    """Return bytes from there on, and how many there are in all."""
     try:
         with path.open("rb") as file:
             file.seek(offset)
@@ -187,7 +188,7 @@ def _piece(path: Path, offset: int, length: int) -> tuple[bytes, int]:
 
 
 async def _said_by(arguments: list[str]) -> str:
-    """What a command prints. Raises ``RecordingError`` with its error."""
+    """Return what a command prints. Raises ``RecordingError`` with its error."""
     command = ["nice", "-n", "10", sys.executable, "-m", "gateway", *arguments]
     process = await asyncio.create_subprocess_exec(
         *command, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE

@@ -42,7 +42,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "vqf", "mcap")
 
 
 def attachments_of(settings: GatewaySettings, suit: WornSuit) -> dict[str, bytes]:
-    """The attachments of a recording that begins now, by name."""
+    """Return the attachments of a recording that begins now, by name."""
     attachments = {
         fmt.SUIT: encode_suit(suit),
         fmt.BODY: _yaml(body_of(suit.skeleton)),
@@ -112,12 +112,12 @@ _Dataclass = TypeVar("_Dataclass")
 
 
 def encode_suit(suit: WornSuit) -> bytes:
-    """The suit as JSON text."""
+    """Return the suit as JSON text."""
     return json.dumps(_plain(suit), indent=1).encode()
 
 
 def decode_suit(text: bytes) -> WornSuit:
-    """The suit that ``text`` was made of. Raises ``SettingsError`` for a text that describes none."""
+    """Return the suit that ``text`` was made of. Raises ``SettingsError`` for a text that describes none."""
     try:
         return _built(WornSuit, current(json.loads(text)))
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
@@ -145,7 +145,8 @@ def _plain_scalar(value: Any) -> Any:
 
 
 def _built(kind: type[_Dataclass], plain: dict[str, Any]) -> _Dataclass:
-    """A dataclass of its plain form: fields that the text lacks keep their defaults, others are refused."""
+    """Return a dataclass of its plain form: fields that the text lacks keep their defaults, others are
+    refused."""
     hints = typing.get_type_hints(kind)
     names = {field.name for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     unknown = sorted(set(plain) - names)
@@ -155,7 +156,7 @@ def _built(kind: type[_Dataclass], plain: dict[str, Any]) -> _Dataclass:
 
 
 def _value(hint: Any, plain: Any) -> Any:
-    """A field's value of its plain form, by the field's type."""
+    """Return a field's value of its plain form, by the field's type."""
     if isinstance(plain, dict) and set(plain) == {"dtype", "shape", "values"}:
         return np.array(plain["values"], dtype=_number_type(plain["dtype"])).reshape(plain["shape"])
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
@@ -189,7 +190,7 @@ _DIGITS = 12
 
 
 def body_of(skeleton: Skeleton) -> dict[str, Any]:
-    """A skeleton as the content of a body file."""
+    """Return a skeleton as the content of a body file."""
     names = skeleton.segment_names
     content: dict[str, Any] = {
         "name": skeleton.name,
@@ -238,7 +239,7 @@ def _angle(angle: Angle, decomposition: Decomposition) -> dict[str, Any]:
 
 
 def rig_of(suit: WornSuit) -> dict[str, Any]:
-    """A worn suit as the content of a rig file beside its body file."""
+    """Return a worn suit as the content of a rig file beside its body file."""
     names = suit.skeleton.segment_names
     modules: list[dict[str, Any]] = [
         {

@@ -35,7 +35,7 @@ from gateway.recording.smoothing import SmoothedPoses
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
 
-_MESSAGES_A_TELLING = 512
+_MESSAGES_A_REPORT = 512
 
 _MOST_WAITING = 4096
 _MADE_ANEW = (fmt.SKELETON, fmt.MARKERS, fmt.TRANSFORMS)
@@ -68,12 +68,12 @@ class Source:
 
 
 def recorded_source(recording: Recording) -> Source:
-    """What the recorded poses were made with. Raises ``SettingsError``."""
+    """Return what the recorded poses were made with. Raises ``SettingsError``."""
     return Source(recording.meta.suit, recording.meta.settings, recording.meta.smoothed)
 
 
 def recording_pipeline(recording: Recording, source: Source) -> Pipeline:
-    """A pipeline that has not begun yet; the recording's links are announced."""
+    """Return a pipeline that has not begun yet; the recording's links are announced."""
     with with_recorded_table(recording, source.settings) as settings:
         pipeline = Pipeline.from_settings(settings, source.suit)
     for name, content in recording.meta.links.items():
@@ -99,7 +99,7 @@ def solve(
 
 
 def smoothed_arrays(recording: Recording, progress: Progress | None = None) -> SkeletonArrays:
-    """All poses made anew, forward and backward.
+    """Return all poses made anew, forward and backward.
 
     Raises ``GatewayError`` for a method that cannot go backward, ``RecordingError`` when there is no pose."""
     source = replace(recorded_source(recording), smoothed=True)
@@ -125,7 +125,7 @@ def verify(recording: Recording, progress: Progress | None = None) -> Verificati
     markers: deque[bytes] = deque(maxlen=_MOST_WAITING)  # nobody takes them where none were recorded
     compared = 0
     with _poses_by_message(recording, recorded_source(recording), progress) as (poses_of, tell):
-        for message in _told(recording, tell):
+        for message in _with_progress(recording, tell):
             if message.topic == fmt.SKELETON:
                 made = recomputed.popleft() if recomputed else None
                 if made != message.data:
@@ -149,8 +149,9 @@ def write_solved(
     source: Source,
     progress: Progress | None = None,
 ) -> int:
-    """A new recording of the same bytes, with poses made anew, and the suit and configuration they were made
-    with. Returns how many. Raises ``RecordingError`` when ``target`` exists, OSError as ``open`` does.
+    """Return a new recording of the same bytes, with poses made anew, and the suit and configuration they
+    were made with. Returns how many. Raises ``RecordingError`` when ``target`` exists, OSError as ``open``
+    does.
     """
     meta, frames = recording.meta, 0
     with with_recorded_table(recording, source.settings) as settings:
@@ -173,7 +174,7 @@ def write_solved(
         _poses_by_message(recording, source, progress) as (poses_of, tell),
         DerivedRecordingWriter(target, session, attachments, meta.begun_ns) as writer,
     ):
-        for count, message in enumerate(_told(recording, tell)):
+        for count, message in enumerate(_with_progress(recording, tell)):
             if message.topic not in _MADE_ANEW:
                 writer.add(message.topic, message.time_ns, message.data, _metadata(recording, message.topic))
             for frame in poses_of(message):
@@ -186,13 +187,14 @@ def write_solved(
                         transforms.encode(frame.time_ns, frame.q_wb, frame.p_w),
                     )
                 frames += 1
-            if count % _MESSAGES_A_TELLING == 0:
+            if count % _MESSAGES_A_REPORT == 0:
                 writer.flush()
     return frames
 
 
 def _solved_session(solved_from: str, attachments: Mapping[str, bytes]) -> str:
-    """The same for the same session, suit, configuration and host: solving twice gives the same file."""
+    """Return the same for the same session, suit, configuration and host: solving twice gives the same
+    file."""
     contents = b"".join(attachments[name] for name in sorted(attachments))
     return uuid.uuid5(uuid.NAMESPACE_OID, f"{solved_from} {contents!r}").hex
 
@@ -208,7 +210,7 @@ def _poses_by_message(
         yield partial(_fed, pipeline), progress
         return
     with SmoothedPoses(pipeline) as smoothing:
-        for message in _told(recording, _half(progress, 0)):
+        for message in _with_progress(recording, _half(progress, 0)):
             if _is_input(message):
                 item = decode_message(message)
                 smoothing.take(item if isinstance(item, Chunk | SentChunk | InputEvent) else None)
@@ -217,7 +219,7 @@ def _poses_by_message(
 
 
 def _half(progress: Progress | None, which: int) -> Progress | None:
-    """Tells the whole of a stage as the first (0) or the second (1) half of the work."""
+    """Tell the whole of a stage as the first (0) or the second (1) half of the work."""
     if progress is None:
         return None
     return lambda done, total: progress(which * total + done, 2 * total)
@@ -228,16 +230,16 @@ def _is_input(message: RecordedMessage) -> bool:
 
 
 def _fed(pipeline: Pipeline, message: RecordedMessage) -> list[SkeletonFrame]:
-    """The frames that a message completes."""
+    """Return the frames that a message completes."""
     item = decode_message(message) if _is_input(message) else None
     return pipeline.take(item) if isinstance(item, Chunk | SentChunk | InputEvent) else []
 
 
-def _told(recording: Recording, progress: Progress | None) -> Iterator[RecordedMessage]:
-    """All messages of known topics; tells how far it is."""
+def _with_progress(recording: Recording, progress: Progress | None) -> Iterator[RecordedMessage]:
+    """Yield all messages of known topics; tells how far it is."""
     total = recording.parts.size
     for count, message in enumerate(recording.parts.messages()):
-        if progress is not None and count % _MESSAGES_A_TELLING == 0:
+        if progress is not None and count % _MESSAGES_A_REPORT == 0:
             progress(recording.parts.position, total)
         if fmt.is_known(message.topic):
             yield message
@@ -266,7 +268,7 @@ def with_recorded_table(recording: Recording, settings: GatewaySettings) -> Iter
 
 
 def _difference(index: int, recorded: bytes, made: bytes | None) -> str:
-    """What differs first, for the user."""
+    """Return what differs first, for the user."""
     if made is None:
         return f"frame {index}: recorded, but not made again from the bytes"
     was, now = decode_skeleton_frame(recorded), decode_skeleton_frame(made)

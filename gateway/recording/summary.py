@@ -67,7 +67,7 @@ class _Figures:
 
 
 def summarise(recording: Recording) -> RecordingSummary:
-    """Figures of all parts: from their indices, or by reading a file that has none to its end."""
+    """Return figures of all parts: from their indices, or by reading a file that has none to its end."""
     figures = _Figures()
     defects = []
     for file in recording.parts.files:
@@ -92,7 +92,8 @@ def summarise(recording: Recording) -> RecordingSummary:
 
 
 def recordings_in(folder: Path) -> Iterator[Recording | RecordingError]:
-    """The recordings of a folder, oldest first, each with its later parts; errors of files that are none.
+    """Yield the recordings of a folder, oldest first, each with its later parts; errors of files that are
+    none.
 
     Raises ``RecordingError`` for a folder that cannot be read.
     """
@@ -121,7 +122,7 @@ def recordings_in(folder: Path) -> Iterator[Recording | RecordingError]:
 
 
 def _by_index(file: RecordingFile, figures: _Figures) -> bool:
-    """Whether the file has an index; if so, its figures were taken."""
+    """Return whether the file has an index; if so, its figures were taken."""
     try:
         with file.path.open("rb") as stream:
             summary = SeekingReader(stream, record_size_limit=LARGEST_RECORD).get_summary()
@@ -160,7 +161,7 @@ def _by_reading(file: RecordingFile, figures: _Figures) -> None:
 
 
 def _plain(data: bytes) -> dict[str, Any]:
-    """The object in a message; empty for what is none."""
+    """Return the object in a message; empty for what is none."""
     try:
         found = plain_json(data)
     except ValueError:

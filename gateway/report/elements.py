@@ -32,7 +32,7 @@ td.bad{color:#b02a37;font-weight:600}figure{margin:.5em 0;break-inside:avoid}
 
 
 def document(title: str, body: str) -> str:
-    """The whole page. body: HTML."""
+    """Return the whole page. body: HTML."""
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
         f"<style>{_STYLE}</style></head><body>\n{body}\n</body></html>\n"
@@ -48,7 +48,8 @@ def tiles(figures: Sequence[tuple[str, str]]) -> str:
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]], n_texts: int = 1) -> str:
-    """A table; the first ``n_texts`` columns are set to the left, a cell that begins with ! is marked."""
+    """Return a table; the first ``n_texts`` columns are set to the left, a cell that begins with ! is
+    marked."""
     head = "".join(
         f'<th class="{"t" if i < n_texts else ""}">{html.escape(text)}</th>' for i, text in enumerate(heads)
     )
@@ -63,12 +64,12 @@ def _cell(text: str, is_text: bool) -> str:
 
 
 def warning(text: str) -> str:
-    """A sentence that must not be missed."""
+    """Return a sentence that must not be missed."""
     return f'<p class="warn">{html.escape(text)}</p>'
 
 
 def picture(png: bytes, meaning: str) -> str:
-    """A PNG picture; meaning: for those who do not see it."""
+    """Return a PNG picture; meaning: for those who do not see it."""
     data = base64.b64encode(png).decode()
     return f'<figure><img alt="{html.escape(meaning)}" src="data:image/png;base64,{data}"></figure>'
 
@@ -114,7 +115,7 @@ def small_multiples(
 
 
 def panels(count: int, height_in: float, columns: int | None = None) -> tuple[Any, list[Any]]:
-    """A figure and its axes, those beyond ``count`` switched off.
+    """Return a figure and its axes, those beyond ``count`` switched off.
 
     height_in: of the figure, inches; columns: axes side by side, all where not given.
     """

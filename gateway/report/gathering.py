@@ -120,7 +120,7 @@ class _Modules:
 
 
 def gather(recording: Recording, progress: Progress | None = None) -> Findings:
-    """Everything that can be read, also of a file that was cut off or has holes."""
+    """Return everything that can be read, also of a file that was cut off or has holes."""
     summary = summarise(recording)
     meta = recording.meta
     suit = meta.suit if meta.has_suit else None

@@ -105,7 +105,7 @@ def sigma(poses: SkeletonArrays) -> bytes:
 
 
 def status(poses: SkeletonArrays) -> bytes:
-    """Where every segment's orientation came from, over time."""
+    """Return where every segment's orientation came from, over time."""
     from matplotlib.colors import ListedColormap  # noqa: PLC0415 - an extra
     from matplotlib.patches import Patch  # noqa: PLC0415
 
@@ -122,7 +122,7 @@ def status(poses: SkeletonArrays) -> bytes:
 
 
 def _heading_pitch_roll(poses: SkeletonArrays) -> FloatArray:
-    """(F, S, 3) degrees, continuous; NaN where not known."""
+    """Return (F, S, 3) degrees, continuous; NaN where not known."""
     shape = poses.q_wb.shape[:2]
     flat = poses.q_wb.reshape(-1, 4)
     known = np.isfinite(flat).all(axis=1)
@@ -160,7 +160,7 @@ def write_report(found: Findings, target: Path) -> None:
 
 
 def page(found: Findings) -> str:
-    """The page as text; the same recording always gives the same."""
+    """Return the page as text; the same recording always gives the same."""
     title = found.summary.name or Path(found.summary.path).stem
     body = "\n".join(
         [

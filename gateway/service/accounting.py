@@ -33,7 +33,8 @@ def balances_of(
     recording: RecorderBalance | None = None,
     links: Mapping[str, LinkCounts] | None = None,
 ) -> list[Balance]:
-    """All balances of a pipeline, its outputs and links (by name) and the recording, if there is one."""
+    """Return all balances of a pipeline, its outputs and links (by name) and the recording, if there is
+    one."""
     balances = pipeline.balances()
     for name, counters in (outputs or {}).items():
         parts = {

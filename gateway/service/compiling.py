@@ -133,7 +133,7 @@ class _NothingFound:
         return whole_body.no_pose(self._n)
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """No-op: the reconstructor is stateless."""
 
 
 def main(step: str) -> None:

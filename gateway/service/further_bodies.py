@@ -41,7 +41,8 @@ def _subject_of(body: BodySettings, config: Path | None) -> WornSuit:
 
 
 def _settings_of(settings: GatewaySettings, body: BodySettings) -> GatewaySettings:
-    """Those of one further body: the links of markers, a name of its own, no other outputs and ports."""
+    """Return those of one further body: the links of markers, a name of its own, no other outputs and
+    ports."""
     links = [
         link.model_copy(update={"person": body.person})
         for link in settings.links
@@ -63,7 +64,8 @@ def _settings_of(settings: GatewaySettings, body: BodySettings) -> GatewaySettin
 
 
 def at_broker(settings: GatewaySettings, port: int) -> GatewaySettings:
-    """The settings with the broker that the first body's service has started, or found, at ``port``."""
+    """Return the settings with the broker that the first body's service has started, or found, at
+    ``port``."""
     changes: dict[str, object] = {"broker": "external", "port": port, "websocket_port": None}
     return settings.model_copy(update={"mqtt": settings.mqtt.model_copy(update=changes)})
 

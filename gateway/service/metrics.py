@@ -72,7 +72,8 @@ class GatewayFigures:
 
 
 def registry_of(figures: GatewayFigures) -> CollectorRegistry:
-    """A registry that yields these figures, and those of the process (memory, processor time, files)."""
+    """Return a registry that yields these figures, and those of the process (memory, processor time,
+    files)."""
     registry = CollectorRegistry(auto_describe=False)
     registry.register(_Figures(figures))
     ProcessCollector(registry=registry)
@@ -178,7 +179,7 @@ def _modules(modules: Sequence[ModuleState]) -> Iterator[Metric]:
 def _gauge(
     name: str, text: str, values: Sequence[tuple[ModuleState, float | None]], factor: float = 1.0
 ) -> Metric:
-    """A gauge of those modules that have a value."""
+    """Return a gauge of those modules that have a value."""
     gauge = GaugeMetricFamily(name, text, labels=_MODULE)
     for module, value in values:
         if value is not None:

@@ -108,7 +108,7 @@ class MetricsServer:
             self.release()
 
     def metrics(self, accept: str) -> tuple[str, bytes]:
-        """Content type and text, in the format the client likes best. Raises ``NoAnswer``."""
+        """Return content type and text, in the format the client likes best. Raises ``NoAnswer``."""
         encode, content_type = choose_encoder(accept)
         return content_type, encode(registry_of(self._ask(self._figures)))
 
@@ -134,7 +134,8 @@ class _Server(ThreadingHTTPServer):
         super().__init__(address, handler)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Whether there is a thread left for one more client; a method name of the standard library's."""
+        """Return whether there is a thread left for one more client; a method name of the standard
+        library's."""
         try:
             silent = self.crowd.enter(request, str(client_address[0]))
         except CrowdedError:
@@ -176,7 +177,7 @@ class _Head:
         return self._left == 0
 
     def readline(self, limit: int) -> bytes:
-        """The next line; nothing of what goes beyond."""
+        """Return the next line; nothing of what goes beyond."""
         line = self._connection.readline(min(limit, self._left))
         self._left -= len(line)
         return line

@@ -1,4 +1,4 @@
-"""What is told of the running gateway beside its poses: modules, UTC, metrics, health."""
+"""Publish module state, UTC offset, metrics and health."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class Observer:
             self._mqtt.keep(topic, message)
 
     def figures(self) -> GatewayFigures:
-        """All that is measured, now."""
+        """Return all that is measured, now."""
         dropped = self._pipeline.dropped()
         links = [
             LinkFigures(
@@ -153,7 +153,7 @@ class Observer:
             try:
                 self.look()
             except Exception:
-                # Poses matter more than what is told of them.
+                # Poses matter more than reports on them.
                 log.exception("the gateway could not be looked at")
 
     def _check_balances(self) -> None:

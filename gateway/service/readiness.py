@@ -74,7 +74,7 @@ def in_words(found: Readiness) -> str:
 
 
 def is_ready(name: str) -> bool:
-    """Whether a method starts within seconds."""
+    """Return whether a method starts within seconds."""
     if name in FUSED or readiness(name).is_complete:
         return True
     return name == FIRST and readiness(FALLBACK).is_complete

@@ -74,7 +74,7 @@ _POSES_A_TURN = 8
 _LAST_POSES_S = 0.1
 """After the last chunk, for further people's poses to go out."""
 _MOST_STRANGERS_NAMED = 32
-_TOLD_FAILURES = frozenset(10**power for power in range(7))
+_LOGGED_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
 
 
@@ -186,7 +186,7 @@ class Service:
         )
 
     def balances(self) -> list[Balance]:
-        """Where every sample, pose and chunk went (see ``gateway.service.accounting``)."""
+        """Return where every sample, pose and chunk went (see ``gateway.service.accounting``)."""
         outputs = {"mqtt": self.mqtt.counters, **self.side.counters}
         return balances_of(self.pipeline, outputs, self.recording.balance, self._link_counts)
 
@@ -195,7 +195,7 @@ class Service:
         return {link.name: link.counts for link in self.links if isinstance(link, ReconnectingLink)}
 
     def statistics(self) -> dict[str, object]:
-        """Counters for the health message."""
+        """Return counters for the health message."""
         accounting = {balance.name: balance.summary() for balance in self.balances()}
         return {
             **{section: told for asker in self._askers for section, told in asker.statistics().items()},
@@ -282,7 +282,7 @@ class Service:
                 await self.requests.stop()
 
     def _other_services(self) -> list[Service]:
-        """The services of further people, fed by the links of this one."""
+        """Return the services of further people, fed by the links of this one."""
         services = []
         for settings, suit in self.others:
             links = [HandedLink(link.name) for link in settings.links]
@@ -317,7 +317,7 @@ class Service:
         return contents_of(link, self._carries.get(link.name, SUIT))
 
     def _takes_commands(self, link: Link) -> bool:
-        """Whether packets of ours may be written to a link."""
+        """Return whether packets of ours may be written to a link."""
         return source_kind(self._carries.get(link.name, SUIT)).takes_commands
 
     async def _ingest(self, link: Link) -> None:
@@ -371,7 +371,7 @@ class Service:
             return self.pipeline.feed(chunk)
         except Exception:
             self.failed_chunks += 1
-            if self.failed_chunks in _TOLD_FAILURES:
+            if self.failed_chunks in _LOGGED_FAILURES:
                 log.exception(
                     "chunk %d that could not be handled (%d bytes of %s at %d ns): the gateway goes on; "
                     "please report this with the recording",

@@ -21,7 +21,8 @@ _TOKENS = 1 << 16
 
 
 def question(asked: int, now_ns: int) -> WireFrame:
-    """What time do you have? To all modules; asked: how many questions went before; now_ns: gateway time."""
+    """Return what time do you have? To all modules; asked: how many questions went before; now_ns: gateway
+    time."""
     token, now_us = asked % _TOKENS, now_ns // 1000
     return wire_frame(SyncRequest(token=token, host_time_us=now_us), BROADCAST, token, now_us % 2**32)
 

@@ -127,7 +127,7 @@ class CompiledDecoder(Row):
         return self._damaged + self._others.damaged
 
     def feed(self, chunk: bytes) -> Entries:
-        """The packets that this chunk completes, in order; they stand until something else is fed."""
+        """Return the packets that this chunk completes, in order; they stand until something else is fed."""
         entries, data = self._entries, self._partial + chunk if self._partial else bytes(chunk)
         if len(data) > entries.n_bytes:
             entries.fit(2 * len(data))

@@ -13,7 +13,7 @@ _CARRIED = {"qtm": "markers", "markers": "markers", "mqtt": "heat_maps"}
 
 
 def has_credentials(url: object) -> bool:
-    """Whether a URL names a user, or a password."""
+    """Return whether a URL names a user, or a password."""
     return isinstance(url, str) and "@" in url.partition("://")[2].partition("/")[0]
 
 

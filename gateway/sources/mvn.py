@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 _UPRIGHT = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 """Axes of the ISB to a world with z up, of a segment that stands and faces x."""
 _PELVIS = 1
-_Told = TypeVar("_Told")
+_Reading = TypeVar("_Reading")
 ANOTHER_CHARACTER = "another_character"
 
 
@@ -116,8 +116,8 @@ class MvnDevice(MakersDevice):
                 yield record.module, number, self._time_ns, measured, 0
 
     def _dated(
-        self, told: Sequence[tuple[int, _Told]], message: Datagram, modules: ModuleTable, chunk: Chunk
-    ) -> Iterable[tuple[ModuleRecord, _Told]]:
+        self, told: Sequence[tuple[int, _Reading]], message: Datagram, modules: ModuleTable, chunk: Chunk
+    ) -> Iterable[tuple[ModuleRecord, _Reading]]:
         """Return what segments tell with the records of their modules; ``_time_ns`` is then the instant."""
         if not told:
             return ()

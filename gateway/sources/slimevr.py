@@ -58,8 +58,8 @@ if TYPE_CHECKING:
     from gateway.sources.unfused import UnfusedSensor
 
 BEATS_S = 0.5
-"""Between two heartbeats, and two pings; a tracker that hears nothing for three seconds looks for its server
-again."""
+"""Between two heartbeats, and two pings; a tracker that receives nothing for three seconds looks for its
+server again."""
 FORGOTTEN_S = 10.0
 """A tracker silent for so long is spoken to no more."""
 _MOST_TRACKERS, _MOST_REPLIES = 64, 256

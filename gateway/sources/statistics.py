@@ -76,14 +76,15 @@ class SequenceCounter(Row):
         return self._newest - self._first + 1
 
     def count(self, sequence: int, link: LinkLosses) -> int | None:
-        """The unwrapped sequence number; None for a packet received before. link: the one it came over."""
+        """Return the unwrapped sequence number; None for a packet received before. link: the one it came
+        over."""
         if not self._goes_on:
             self._shift = sequence - (self._newest + 1)
             self._goes_on = True
         return self._take(unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1), link)
 
     def count_unwrapped(self, full: int, link: LinkLosses) -> int | None:
-        """The same for a number that somebody else has unwrapped."""
+        """Return the same for a number that somebody else has unwrapped."""
         if not self._goes_on:
             begin = max(self._newest, full - 1)
             self._first += begin - self._newest
@@ -176,7 +177,7 @@ class ModuleRecord(Row):
         self._shared = part(self.memory, MODULE, "sequences").view(SEQUENCE)
 
     def counter(self, kind: int) -> SequenceCounter:
-        """The counter of a kind of packet, a new one at first."""
+        """Return the counter of a kind of packet, a new one at first."""
         counter = self.sequences.get(kind)
         if counter is None:
             place = SHARED_KINDS.get(kind)

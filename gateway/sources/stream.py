@@ -128,7 +128,7 @@ class Stream:
             self._entries.leave_samples(kind, bool(self._listeners.get(PACKETS[kind])))
 
     def receive(self, chunk: Chunk) -> list[Reading]:
-        """The readings that a chunk completes, in order of arrival."""
+        """Return the readings that a chunk completes, in order of arrival."""
         decoder = self._decoders[chunk.link]
         packets = decoder.feed(chunk)
         self.table.begin_chunk(chunk, is_trusted=decoder.is_trusted, is_damaged=decoder.is_damaged)
@@ -161,8 +161,8 @@ class Stream:
         return self._decoders.values()
 
     def senders(self, link: str) -> tuple[str, ...]:
-        """Who is to be written to on a link: those who sent something valid lately, by address; nobody where
-        there is but one other end."""
+        """Return who is to be written to on a link: those who sent something valid lately, by address; nobody
+        where there is but one other end."""
         decoder = self._decoders.get(link)
         return () if decoder is None else decoder.senders
 
@@ -221,7 +221,8 @@ class Stream:
     def _read_triggered(
         self, triggers: TriggerAnswers, record: ModuleRecord, received: ReceivedPacket, chunk: Chunk
     ) -> Reading | Sample | None:
-        """A sample that answers a trigger: its instant is the trigger's, whatever the module's clock says."""
+        """A sample that answers a trigger: its instant is the trigger's, whatever the module's clock
+        says."""
         answer = triggers.answered(received.module, received.sequence, chunk.link, chunk.arrived_ns)
         if answer is None:
             return None

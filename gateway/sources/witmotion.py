@@ -67,7 +67,7 @@ _COMFORTABLE = 0.9
 """Of a line that its packets may take."""
 _ANSWERS_ELSEWHERE = {"baud": "that rate in the link's url", "address": "that identifier at the link"}
 """Settings after which a device may be heard in another way only, and what the configuration then says."""
-_TOLD_EVERY = 100
+_TEMPERATURE_EVERY = 100
 """Samples between two looks at the temperature."""
 
 
@@ -132,7 +132,7 @@ class WitMotionDevice(MakersDevice):
         number, stamp_us = self._newest
         record, time_ns = modules.timed(self.module, stamp_us, chunk)
         record.counter(InertialSample.KIND).count_unwrapped(number, modules.losses(chunk.link))
-        if message.celsius is not None and number % _TOLD_EVERY == 0:
+        if message.celsius is not None and number % _TEMPERATURE_EVERY == 0:
             record.health = health(temperature_celsius=message.celsius)
         force = scaled(message.specific_force, GRAVITY)
         rate = scaled(message.angular_rate, math.pi / 180.0)

@@ -173,7 +173,7 @@ def _watch(
 
 @compiled
 def _at_end(axes: Any, values: FloatArray, smallest: float, is_next: bool) -> bool:
-    """Whether a sensor's values (3,) are at the end of its range; its axes (3,) remember them."""
+    """Return whether a sensor's values (3,) are at the end of its range; its axes (3,) remember them."""
     if not is_next:
         _forget(axes)
     is_clipped = False

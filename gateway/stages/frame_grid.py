@@ -256,7 +256,7 @@ def _advance(grid: Any, modules: NDArray[np.void], passed: NDArray[np.void], cou
 
 @compiled
 def _is_due(grid: Any, modules: NDArray[np.void], passed: NDArray[np.void], arrived_ns: int) -> bool:
-    """Whether the next instant has all that it may wait for."""
+    """Return whether the next instant has all that it may wait for."""
     if grid.newest_ns < grid.instant_ns:
         return False
     if grid.n_awaited == 0:

@@ -88,7 +88,7 @@ class FusedAssembler:
         return gather
 
     def _is_reference_silent(self, now_us: float) -> bool:
-        """Whether it has said nothing for so long, at an instant when another module spoke."""
+        """Return whether it has said nothing for so long, at an instant when another module spoke."""
         heard = self._newest.get(self.reference)
         if heard is None:
             return now_us * 1e3 > self._params.start_wait_ns

@@ -66,7 +66,7 @@ class NoModules:
         raise GatewayError(f"frame {observation.sequence} of modules, and none is worn on '{self._name}'")
 
     def reset(self) -> None:
-        """No-op: nothing is remembered."""
+        """No-op: the stage keeps nothing."""
 
 
 class ModuleStage:
@@ -136,7 +136,7 @@ class ModuleStage:
 
     def solve(self, frames: Sequence[ImuFrame]) -> list[SkeletonFrame]:
         """Return the poses of frames in time order."""
-        return [self._told(pose) for pose in update_many(self.reconstructor, frames)]
+        return [self._marked_doubtful(pose) for pose in update_many(self.reconstructor, frames)]
 
     def doubts(self) -> dict[int, str]:
         """Return why the segments of some modules are doubtful, and what to do, by module id."""
@@ -195,8 +195,8 @@ class ModuleStage:
             is_restless = np.isin(self._suit.module_of_segment, rows).astype(np.uint8)
             self._restless |= {frame.sequence: is_restless for frame in frames}
 
-    def _told(self, pose: SkeletonFrame) -> SkeletonFrame:
-        """Return the pose with restless modules told."""
+    def _marked_doubtful(self, pose: SkeletonFrame) -> SkeletonFrame:
+        """Mark segments doubtful whose modules begin their clocks anew again and again."""
         restless = self._restless.pop(pose.sequence, None) if self._restless else None
         if restless is None:
             return pose

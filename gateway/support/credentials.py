@@ -20,7 +20,7 @@ class CredentialError(SettingsError, ValueError):
 
 
 def read_secret(file: Path | None, variable: str, setting: str) -> str | None:
-    """First line of ``file``, else the environment variable, else None.
+    """Return first line of ``file``, else the environment variable, else None.
 
     setting: what named the file, for the error. Raises ``CredentialError``.
     """
@@ -36,7 +36,7 @@ def read_secret(file: Path | None, variable: str, setting: str) -> str | None:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches what listens there."""
+    """Return whether only this machine reaches what listens there."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -63,16 +63,16 @@ class AccessToken:
         return "AccessToken(…)"
 
     def reveal(self) -> str:
-        """The token itself, for handing it to a child process."""
+        """Return the token itself, for handing it to a child process."""
         return self._bytes.decode()
 
     def matches(self, given: str | None) -> bool:
-        """Whether it is this one; the time taken does not depend on how much of it is right."""
+        """Return whether it is this one; the time taken does not depend on how much of it is right."""
         return hmac.compare_digest(self._bytes, (given or "").encode(errors="replace"))
 
 
 def token_for(what: str, host: str, file: Path | None, variable: str, setting: str) -> AccessToken | None:
-    """The token of something that listens at ``host``; None: none was given, and none is needed.
+    """Return the token of something that listens at ``host``; None: none was given, and none is needed.
 
     what: for the error. Raises ``CredentialError`` where others than this machine could come in without one.
     """

@@ -48,7 +48,7 @@ async def give_back() -> None:
     """Every so often, for ever: what is free within the heap goes back to the system.
 
     By itself glibc gives back only what is free at the heap's upper end. Every burst (a second of samples at
-    once, after the machine or a cable was held up) moves that end up, and one small block that stays there
+    once, after the machine or a cable paused) moves that end up, and one small block that stays there
     keeps all below it: megabytes in an hour, though nothing more is in use. Returns where the C library
     cannot be asked.
     """

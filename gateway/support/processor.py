@@ -91,5 +91,5 @@ def processor_flags(cpuinfo: Path) -> frozenset[str]:
                 if name.strip() in ("flags", "Features"):
                     return frozenset(flags.split())
     except OSError:
-        pass
+        pass  # systems other than Linux have no such file
     return frozenset()

@@ -25,13 +25,15 @@ _LONGEST_LINE = 400
 
 
 def shipped_folder() -> Path:
-    """The shipped configuration: ``config/`` of the source tree, or its copy in an installed package."""
+    """Return the shipped configuration: ``config/`` of the source tree, or its copy in an installed
+    package."""
     in_tree = Path(__file__).parents[2] / "config"
     return in_tree if (in_tree / "bodies").is_dir() else Path(__file__).parents[1] / "shipped_config"
 
 
 def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
-    """The file that ``name`` means: a path (also relative to the naming file's folder), or a shipped one.
+    """Return the file that ``name`` means: a path (also relative to the naming file's folder), or a shipped
+    one.
 
     kind: "bodies" or "rigs". Raises ``SettingsError`` naming the shipped ones.
     """
@@ -49,7 +51,8 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
 
 
 def load_yaml(path: Path) -> Any:
-    """The content of a YAML file. Raises ``SettingsError`` with file and line when it cannot be read."""
+    """Return the content of a YAML file. Raises ``SettingsError`` with file and line when it cannot be
+    read."""
     try:
         return current(yaml_text.load(_text_of(path)))
     except FileNotFoundError:
@@ -72,7 +75,7 @@ def _text_of(path: Path) -> str:
 
 
 def load_settings(path: Path, model: type[Model]) -> Model:
-    """A YAML file as ``model``. Raises ``SettingsError`` with one line for each thing wrong."""
+    """Return a YAML file as ``model``. Raises ``SettingsError`` with one line for each thing wrong."""
     content = load_yaml(path)
     if content is None:
         raise SettingsError(f"{path}: is empty: 'key: value' lines are wanted")
@@ -118,12 +121,12 @@ def _shortened(text: str, length: int = 80) -> str:
 
 
 def is_union_tag(part: object) -> bool:
-    """Whether a part of a pydantic location names a member of a union, and no setting."""
+    """Return whether a part of a pydantic location names a member of a union, and no setting."""
     return isinstance(part, str) and (part[:1].isupper() or "[" in part)
 
 
 def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """The keys allowed at a place inside ``model``."""
+    """Return the keys allowed at a place inside ``model``."""
     current: list[type[BaseModel]] = [model]
     for part in location:
         if isinstance(part, int) or is_union_tag(part):
@@ -133,16 +136,16 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
         if fields:
             current = _models_within(fields[0].annotation)
         else:  # which of a union it is, by the word that tells them apart
-            current = [one for one in current if _is_told_by(one, part)]
+            current = [one for one in current if _is_named(one, part)]
     return [field.alias or name for one in current[:1] for name, field in one.model_fields.items()]
 
 
-def _is_told_by(model: type[BaseModel], word: str) -> bool:
+def _is_named(model: type[BaseModel], word: str) -> bool:
     return any(word in typing.get_args(field.annotation) for field in model.model_fields.values())
 
 
 def _models_within(annotation: Any) -> list[type[BaseModel]]:
-    """The pydantic models inside an annotation such as ``list[Model] | None``."""
+    """Return the pydantic models inside an annotation such as ``list[Model] | None``."""
     if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias):
         return [annotation] if issubclass(annotation, BaseModel) else []
     return [found for inner in typing.get_args(annotation) for found in _models_within(inner)]

@@ -22,7 +22,7 @@ DEEPEST = 40
 
 
 def load(text: str) -> Any:
-    """The value of a YAML text. Raises ``yaml.YAMLError``, also for one beyond the limits."""
+    """Return the value of a YAML text. Raises ``yaml.YAMLError``, also for one beyond the limits."""
     loader = _Loader(text)
     try:
         node = loader.get_single_node()
@@ -36,7 +36,8 @@ def load(text: str) -> Any:
 
 
 def replaced(text: str, place: Sequence[str | int], value: str) -> str:
-    """The text with another value at a place, such as ``("links", 0, "url")``; comments and all else stay.
+    """Return the text with another value at a place, such as ``("links", 0, "url")``; comments and all else
+    stay.
 
     Raises ``KeyError`` where nothing stands there, and ``yaml.YAMLError``.
     """
@@ -62,7 +63,8 @@ class _Loader(yaml.SafeLoader):
         self._sizes: dict[int, int] = {}  # by the identity of a node
 
     def compose_node(self, parent: Node | None, index: Any) -> Node | None:
-        """The library's, held to the bounds on depth and size; aliases count as often as they are used."""
+        """Return the library's, held to the bounds on depth and size; aliases count as often as they are
+        used."""
         self._depth += 1
         if self._depth > DEEPEST:
             raise _problem(f"lists and maps are nested more than {DEEPEST} deep", self.peek_event())  # type: ignore[no-untyped-call]

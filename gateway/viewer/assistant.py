@@ -174,7 +174,7 @@ class Assistant(StepTab):
         if listed["conflicts"]:
             return self._conflicts()[0]
         proposal = Wardrobe(listed).propose(segment, device)
-        what = told(proposal, self._language)
+        what = proposal_text(proposal, self._language)
         if proposal.is_right_already:
             return what
         if refused := self._unwritable(what, "assign"):
@@ -235,7 +235,7 @@ def devices_of(listed: Mapping[str, Any], language: str) -> dict[str, str]:
     }
 
 
-def told(proposal: Proposal, language: str) -> str:
+def proposal_text(proposal: Proposal, language: str) -> str:
     """What an assignment would write."""
     segment = segment_name(language, proposal.segment)
     if proposal.is_right_already:

@@ -67,7 +67,7 @@ class CheckTab(StepTab):
         self._show_picture(self._chosen())
         again = self._button("check_one", self._do_one)
         parts = [all_of_them, self._movement, self._picture, again]
-        self._table = gui.add_html(self._told())
+        self._table = gui.add_html(self._table_html())
         self._clear_button = self._button("check_clear", self._clear, visible=bool(self._found))
         return [*parts, self._table, self._clear_button]
 
@@ -79,7 +79,7 @@ class CheckTab(StepTab):
         self._picture.content = step_picture(f"move_{movement.name}", told) + line(told)
         self._at = MOVEMENTS.index(movement)
 
-    def _told(self) -> str:
+    def _table_html(self) -> str:
         rows = [
             (
                 GOOD if seen.verdict == Verdict.FOLLOWS else POOR,
@@ -134,7 +134,7 @@ class CheckTab(StepTab):
         finally:
             self._watching, self._is_busy = None, False
         self._found[movement.name] = check.seen()
-        self._table.content, self._clear_button.visible = self._told(), True
+        self._table.content, self._clear_button.visible = self._table_html(), True
 
     def _summary(self) -> str:
         every = [seen for found in self._found.values() for seen in found]

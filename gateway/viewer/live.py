@@ -55,7 +55,7 @@ RESETS = ("heading", "full", "mounting", "position")
 REMOUNTING = ("full", "mounting")
 """Resets that put right how modules sit."""
 COUNTED_DOWN = {"heading": "countdown_heading", "full": "countdown", "mounting": "countdown"}
-"""Resets that want the wearer to stand somehow, who has to get there first; what is told meanwhile."""
+"""Resets that want the wearer to stand somehow, who has to get there first; the text shown meanwhile."""
 COUNTDOWN_S = 3
 TEXTS_EVERY = 10
 """Texts and plots are brought up to date with every so manyeth picture."""
@@ -300,7 +300,7 @@ class LiveViewer:
         awaited = None if info is None or info.kernels is None else info.kernels.awaited
         is_compiling = awaited is not None and poses.states.get(self._gateway) == "online"
         if self._replayed is not None:
-            told = self._replayed.told(self._loop.time(), panel.language)
+            told = self._replayed.text(self._loop.time(), panel.language)
             panel.show_status(say("replay_of", name=self._replayed.name), told, is_alarm=False)
         elif not poses.is_connected:
             panel.show_status(say("no_broker"), say("gets_it_back"), is_alarm=True)
@@ -392,21 +392,21 @@ class LiveViewer:
         except GatewayError as error:
             show(say("went_wrong", wish=wish, error=error))
             return
-        show(say("is_done", wish=wish, told=self._told(family, verb, answer)))
+        show(say("is_done", wish=wish, told=self._answer_text(family, verb, answer)))
 
-    def _told(self, family: str, verb: str, answer: Mapping[str, Any]) -> str:
+    def _answer_text(self, family: str, verb: str, answer: Mapping[str, Any]) -> str:
         """What came of a request, in short."""
         if family == "recording":
             file = str(answer.get("file", "")).rpartition("/")[2]
             clock = clock_of(answer.get("seconds"))
-            return self._panel.say("told_recording", file=file, clock=clock, marks=answer.get("marks", 0))
+            return self._panel.say("answer_recording", file=file, clock=clock, marks=answer.get("marks", 0))
         told = ""
         if turned := answer.get("turned_deg"):
-            told += self._panel.say("told_turned", turned=f"{turned:g}")
+            told += self._panel.say("answer_turned", turned=f"{turned:g}")
         if moved := answer.get("moved_m"):
-            told += self._panel.say("told_moved", moved=f"{moved:g}")
+            told += self._panel.say("answer_moved", moved=f"{moved:g}")
         if verb in REMOUNTING:
-            told += self._panel.say("told_remounted", count=len(answer.get("remounted_deg", ())))
+            told += self._panel.say("answer_remounted", count=len(answer.get("remounted_deg", ())))
         return told
 
 

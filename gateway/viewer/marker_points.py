@@ -57,8 +57,8 @@ class MarkerInstant:
         """``39 markers, 2.8 mm RMS from the body, 1 left out``, and those farthest off."""
         residuals, used = self.residuals, self.used
         if not len(residuals):
-            return (say(language, "markers_told", count=0),)
-        told = [say(language, "markers_told", count=len(residuals))]
+            return (say(language, "markers_count", count=0),)
+        told = [say(language, "markers_count", count=len(residuals))]
         if used.any():
             rms_mm = 1e3 * np.sqrt(np.mean(residuals[used] ** 2))
             told.append(say(language, "markers_off", mm=f"{rms_mm:.1f}"))

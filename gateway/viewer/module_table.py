@@ -115,19 +115,19 @@ class RecordingStatus:
 
     def __init__(self) -> None:
         self._status: Mapping[str, object] = {}
-        self._told_ns = 0
+        self._status_ns = 0
 
-    def take(self, status: object, told_ns: int) -> None:
+    def take(self, status: object, status_ns: int) -> None:
         """Of a health message or an answer, told at this gateway time, ns; an older one changes nothing."""
-        if isinstance(status, Mapping) and told_ns > self._told_ns:
-            self._status, self._told_ns = status, told_ns
+        if isinstance(status, Mapping) and status_ns > self._status_ns:
+            self._status, self._status_ns = status, status_ns
 
     def now(self, now_ns: int) -> Mapping[str, object]:
         """The status, with the seconds of now."""
         seconds = self._status.get("seconds")
         if self._status.get("state") != "recording" or not isinstance(seconds, int | float):
             return self._status
-        return {**self._status, "seconds": seconds + max(0, now_ns - self._told_ns) * 1e-9}
+        return {**self._status, "seconds": seconds + max(0, now_ns - self._status_ns) * 1e-9}
 
 
 def health_line(

@@ -66,7 +66,7 @@ class ReplayedTake:
             self._begun_s = now_s
         return self._poses.pose(self._poses.index_at(self._position_s(now_s)))
 
-    def told(self, now_s: float, language: str = ENGLISH) -> str:
+    def text(self, now_s: float, language: str = ENGLISH) -> str:
         """Where it is, and how long it is."""
         seconds, length = f"{self._position_s(now_s):.1f}", f"{self._poses.times_s[-1]:.1f}"
         return say(language, "replay_at", seconds=seconds, length=length)

@@ -26,7 +26,7 @@ def _figures() -> dict[str, list[Figure]]:
 def step_picture(step: str, told: str) -> str:
     """A step from the front and from the right, as HTML; nothing where there is no picture of it.
 
-    told: what it shows, for whoever hears the page.
+    told: what it shows, for screen readers.
     """
     figures = _figures().get(step)
     if figures is None:

@@ -20,10 +20,10 @@ from gateway.viewer.texts import ENGLISH, say
 _log = logging.getLogger(__name__)
 Ask = Callable[[str, str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 """Family, verb and data to the gateway's answer. Raises ``GatewayError``."""
-Deed = Callable[[], Awaitable[str]]
+Action = Callable[[], Awaitable[str]]
 """What a button asks for; the answer is what became of it."""
 _PLACE: ContextVar[Any] = ContextVar("place")
-"""Below the button of the deed under way: several go on at once, as one that watches and one that ends it."""
+"""Below the button of the running action: several run at once, as one that watches and one that ends it."""
 NOTHING = "–"
 GOOD, FAIR, POOR = "var(--mocap-good)", "var(--mocap-fair)", "var(--mocap-poor)"
 """Of texts: see ``stage.STYLE``."""
@@ -67,12 +67,12 @@ class Errands:
         self._loop = loop
         self._work: set[concurrent.futures.Future[None]] = set()
 
-    def start(self, deed: Deed, tell: Callable[[str], object]) -> None:
+    def start(self, action: Action, tell: Callable[[str], object]) -> None:
         """Do it, and tell what became of it, or what is wrong."""
 
         async def work() -> None:
             try:
-                said = await deed()
+                said = await action()
             except GatewayError as error:
                 said = str(error)
             except Exception as error:  # a button that says nothing would be pressed again and again
@@ -129,14 +129,14 @@ class StepTab(ABC):
     def _say(self, key: str, **values: object) -> str:
         return say(self._language, key, **values)
 
-    def _button(self, key: str, deed: Deed, **options: Any) -> Any:
+    def _button(self, key: str, action: Action, **options: Any) -> Any:
         """A button that does something; what became of it is told below it."""
-        return self._button_for_page(key, lambda _client: deed(), **options)
+        return self._button_for_page(key, lambda _client: action(), **options)
 
     def _button_for_page(
-        self, key: str, deed: Callable[[viser.ClientHandle | None], Awaitable[str]], **options: Any
+        self, key: str, action: Callable[[viser.ClientHandle | None], Awaitable[str]], **options: Any
     ) -> Any:
-        """The same, for a deed that concerns the page on which it was pressed."""
+        """The same, for a action that concerns the page on which it was pressed."""
         button = self._server.gui.add_button(self._say(key), **options)
         place = self._server.gui.add_html("", visible=False)
         self._places.append(place)
@@ -149,7 +149,7 @@ class StepTab(ABC):
 
             async def work() -> str:
                 _PLACE.set(place)
-                return await deed(event.client)
+                return await action(event.client)
 
             self._errands.start(work, self._tell)
 
@@ -157,7 +157,7 @@ class StepTab(ABC):
         return button
 
     def _tell(self, said: str) -> None:
-        """Tell it below the button of the deed under way, unless another button was pressed since."""
+        """Tell it below the button of the action under way, unless another button was pressed since."""
         if (place := _PLACE.get()) is self._place:
             place.content = line(said)
             place.visible = True

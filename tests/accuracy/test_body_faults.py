@@ -13,8 +13,8 @@ from gateway.emulation.body_faults import (
     is_finite,
     largest_step_deg,
     outcome,
+    reported_after_s,
     suit_with_position,
-    told_after_s,
 )
 
 BY_NAME = {case.name: case for case in (*MODULE_CASES, *ML_CASES)}
@@ -46,7 +46,7 @@ def test_a_module_that_dies_and_comes_back(suit, calm):
     case = shorter("module dies, comes back after 10 s", 4.0, LONGEST_S)
     run = emulated(suit, case)
     assert is_finite(run)
-    assert told_after_s(run, VICTIM) < 0.2
+    assert reported_after_s(run, VICTIM) < 0.2
     assert outcome(run, calm, VICTIM).recovery_s < 2.0
     assert outcome(run, calm, NEIGHBOURS).worst_deg < 1.5
     assert outcome(run, calm, OTHERS).worst_deg < 0.5
@@ -69,7 +69,7 @@ def test_a_gyroscope_that_lies_is_told_and_harms_nobody_else(suit, calm, name, l
     case = shorter(name, lasts_s, BEGINS_S + lasts_s + 4.0)
     run = emulated(suit, case)
     assert is_finite(run)
-    assert told_after_s(run, VICTIM) < 1.0
+    assert reported_after_s(run, VICTIM) < 1.0
     near = outcome(run, calm, NEIGHBOURS)
     assert near.worst_deg < 1.5  # they show the module that comes back its heading, not the reverse
     assert near.recovery_s < 1.0
@@ -86,6 +86,6 @@ def test_a_local_device_that_falls_silent(suit, calm):
     run = emulated(suit, case)
     assert is_finite(run)
     assert np.isfinite(run.p_w[200:]).all()
-    assert told_after_s(run, EVERYONE) == pytest.approx(0.5, abs=0.2)
+    assert reported_after_s(run, EVERYONE) == pytest.approx(0.5, abs=0.2)
     assert largest_step_deg(run, case.ends_s, case.ends_s + 4.0) < 0.5
     assert outcome(run, calm, EVERYONE).worst_deg < 1.0

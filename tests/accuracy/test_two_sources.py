@@ -1,4 +1,4 @@
-"""An optical and an inertial capture of one motion, by the commands that docs/compare.md shows."""
+"""An optical and an inertial capture of one motion, by the commands that docs/guide/compare.md shows."""
 
 from __future__ import annotations
 

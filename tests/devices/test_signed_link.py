@@ -1,4 +1,4 @@
-"""Signed links: real sockets, key files, what is told of what was dropped."""
+"""Signed links: real sockets, key files, reports of what was dropped."""
 
 from __future__ import annotations
 

@@ -152,7 +152,7 @@ async def test_unknown_host_says_so(monkeypatch):
 
 
 async def test_silence_is_a_timeout():
-    # A full backlog: the kernel drops further connection requests and the caller hears nothing.
+    # A full backlog: the kernel drops further connection requests and the caller gets no answer.
     with socket.socket() as full:
         full.bind(("127.0.0.1", 0))
         full.listen(0)

@@ -115,7 +115,8 @@ def test_the_demo_profile_wants_nothing_that_a_newcomer_lacks():
 
 
 def test_the_documents_type_profiles_that_there_are():
-    texts = [path.read_text() for path in (DOCKER.parent / "docs" / "service.md", DOCKER / "compose.yaml")]
+    guide = DOCKER.parent / "docs" / "guide" / "service.md"
+    texts = [path.read_text() for path in (guide, DOCKER / "compose.yaml")]
     typed = re.findall(r"docker compose -f docker/compose.yaml(.*) up", "\n".join(texts))
     assert typed
     assert all(profiled(words.split("--profile ")[1])[0] for words in typed)

@@ -138,7 +138,7 @@ BREAKS = {
         "module.c",
         "response.received_us = came_us;",
         "response.received_us = came_us / 1000u;",
-        ("time_request", "time_told_truly"),
+        ("time_request", "time_reported_truly"),
     ),
 }
 

@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(200)]
 MODULES = (1, 2, 3)
 RULES = (
     *("hello", "get_info", "unknown_verb", "read_settings", "stop_and_start", "repeated_command"),
-    *("by_module_id", "by_unique_id", "time_request", "time_told_truly", "time_request_to_all"),
+    *("by_module_id", "by_unique_id", "time_request", "time_reported_truly", "time_request_to_all"),
     *("staged", "limits", "commit", "triggers"),
 )
 

@@ -131,7 +131,7 @@ def test_two_hours_on_a_clock_that_wraps(
     figure(
         f"Two hours of the module's time, {k} samples, one wrap of its counter, {QEMU}",
         f"stamps within {latest - earliest:.1f} µs; a gateway whose clock is {FAST * 1e6:.0f} ppm faster, "
-        f"and which hears samples 1 ms late on average, dates them {off.mean():+.0f} ± {off.std():.0f} µs "
+        f"and which receives samples 1 ms late on average, dates them {off.mean():+.0f} ± {off.std():.0f} µs "
         f"off and finds {record.clock.figures().skew_ppm:+.2f} ppm",
     )
     assert np.abs(off).max() < 1000

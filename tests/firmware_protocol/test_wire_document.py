@@ -20,7 +20,7 @@ def test_the_readme_is_what_the_declarations_say():
 
 def test_all_pages_and_examples_say_who_they_are_as_often():
     repository = PACKAGE.parent
-    guide = (repository / "docs" / "firmware.md").read_text(encoding="utf-8")
+    guide = (repository / "docs" / "guide" / "firmware.md").read_text(encoding="utf-8")
     sketch = (repository / "examples/arduino/imu_module/imu_module.ino").read_text(encoding="utf-8")
     assert f"every {DEVICE_INFO_INTERVAL_S:g} s" in render()
     assert f"at the start, then every {DEVICE_INFO_INTERVAL_S:g} s" in guide

@@ -101,7 +101,7 @@ def test_every_reading_is_counted_as_taken_or_as_no_use():
 
 
 def test_after_a_pause_of_all_the_reference_stays_and_late_frames_hold_all_that_came_with_it():
-    """As when an app, or its machine, is held up: one datagram with all of them, the reference last."""
+    """As when an app, or its machine, pauses: one datagram with all of them, the reference last."""
     assembler = FusedAssembler((1, 2, 3), PARAMS, 1)
     frames, late = [], 2 * PARAMS.max_wait_ns
     for k in (*range(20), *range(20 + PARAMS.hold_ns // (10 * MS), 100)):

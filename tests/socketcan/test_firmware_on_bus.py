@@ -96,7 +96,7 @@ async def test_a_module_that_left_the_bus_comes_back(tmp_path):
         bench = Bench(link_from_url(BUS))
         async with bench.reading():
             assert await bench.until(lambda: bool(bench.of(InertialSample)), 60.0)
-        send_error(BUS_OFF)  # no link of this process listens: it is the module that hears of it
+        send_error(BUS_OFF)  # no link of this process listens: it is the module that learns of it
         bench = Bench(link_from_url(BUS))
         async with bench.reading():
             assert await bench.until(lambda: len(bench.of(InertialSample)) > 5, 60.0)

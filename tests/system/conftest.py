@@ -29,7 +29,7 @@ from tests.patience import PATIENCE_S
 
 @pytest.fixture(autouse=True)
 def _brokers_are_given_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A broker of a busy machine, and what is told it at the end, may be late; by so much that nothing that
+    """A broker of a busy machine, and the messages at its end, may be late; by so much that nothing that
     waits for a broker that never answers would pass for quick."""
     monkeypatch.setattr(connection, "TIMEOUT_S", PATIENCE_S)
     monkeypatch.setattr(mqtt, "_DRAIN_S", PATIENCE_S)

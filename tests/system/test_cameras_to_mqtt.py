@@ -48,7 +48,7 @@ def config_of(tmp_path, instants, links: str, port: int):
 
 
 async def heard_of(config, send, n: int):
-    """The service, and the first n poses of it that an app hears; ``send(instant)`` publishes one."""
+    """The service, and the first n poses of it that an app receives; ``send(instant)`` publishes one."""
     settings = load_gateway_settings(config)
     service = Service(settings, load_rig(settings.rig, config))
     received = []

@@ -1,4 +1,4 @@
-"""Markers sent as datagrams, a fitted subject, a real broker: an app hears the sender's pose."""
+"""Markers sent as datagrams, a fitted subject, a real broker: an app receives the sender's pose."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ VERBS = ("gateway/info", "gateway/health", "recording/status", "gateway/reload")
 
 
 async def heard(port, topic, seconds):
-    """All that a subscriber hears until its requests are answered, and for a time after."""
+    """All that a subscriber receives until its requests are answered, and for a time after."""
     messages, unanswered = [], {f"mocap/lab/bridge/response/{verb}" for verb in VERBS}
     async with aiomqtt.Client("127.0.0.1", port, username="gateway", password=PASSWORD) as client:
         await client.subscribe(topic)

@@ -1,6 +1,6 @@
 """Where an emulated suit's bytes go: pseudo-terminals, CAN buses, sockets, memory.
 
-``offer`` never waits; ``listen`` hears what the host sends. A transport opens, writes, reads and closes;
+``offer`` never waits; ``listen`` receives what the host sends. A transport opens, writes, reads and closes;
 it knows no packet fields.
 """
 

@@ -17,7 +17,7 @@ _POLL_INTERVAL_S = 0.002
 
 
 class CanBusTransport:
-    """Sends CAN frames on a bus, and hears those of others."""
+    """Sends CAN frames on a bus, and receives those of others."""
 
     framing = Framing.CAN
 

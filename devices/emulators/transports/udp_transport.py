@@ -1,4 +1,4 @@
-"""Modules on a wireless network: each sends datagrams from a socket of its own, and hears what comes."""
+"""Modules on a wireless network: each sends datagrams from a socket of its own, and receives what comes."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class UdpTransport:
             opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             opened.setblocking(False)
             if self._from_port:
-                # Connected sockets share a port: each hears the one that it speaks to.
+                # Connected sockets share a port: each receives from the one that it speaks to.
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 opened.bind(("", self._from_port))
             opened.connect((self.host, self.port))

@@ -18,7 +18,7 @@ _LONGEST_STEP_S = 0.06
 class Carrying:
     """Where every joint would be at the next instant, from the poses so far. Deterministic.
 
-    Directions that markers show follow the markers; those that they do not follow what is told here, and so
+    Directions that markers show follow the markers; those that they do not follow what is given here, and so
     keep their own rate until it is forgotten.
     """
 

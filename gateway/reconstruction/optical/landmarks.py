@@ -121,7 +121,7 @@ def measurements(
     for name, angle in marker_set.file.angles.items():
         if name not in angles:
             found = [
-                _told_angle(trial, parameter)
+                _given_angle(trial, parameter)
                 for trial in trials
                 for parameter in angle.parameters
                 if trial.parameters.get(parameter)
@@ -130,7 +130,7 @@ def measurements(
     return Measured(lengths, angles, tuple(assumed))
 
 
-def _told_angle(trial: MarkerTrial, parameter: str) -> float:
+def _given_angle(trial: MarkerTrial, parameter: str) -> float:
     angle = trial.parameters[parameter]
     if abs(angle) > MOST_ANGLE:
         raise GatewayError(f"{trial.name}: {parameter} is {angle:g} rad: no wand stands so; correct the file")

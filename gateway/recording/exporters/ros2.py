@@ -78,6 +78,7 @@ class _Body:
         file.add(static, take.begun_ns, message)
 
     def add(self, time_ns: int, q_wb: np.ndarray, p_w: np.ndarray) -> None:
+        """Write the transforms and joint states of one pose: q_wb (S, 4), p_w (S, 3) in m."""
         self._file.add(self._tf, time_ns, self._transforms.encode(time_ns, q_wb, p_w))
         if self._states.names:
             self._file.add(self._joint_states, time_ns, self._states.encode(time_ns, q_wb))
@@ -123,6 +124,7 @@ class _Modules:
         self._fields: dict[int, tuple[int, ros.MagneticFieldEncoder]] = {}
 
     def add(self, module: int, time_ns: int, force: np.ndarray, rate: np.ndarray, field: np.ndarray) -> None:
+        """Write a sample, m/s², rad/s, µT, each (3,). Modules that no segment wears are left out."""
         frame = self._frames.get(module)
         if frame is None:
             return

@@ -84,7 +84,7 @@ class GnssReceiver:
         self._sigma_m = float("nan")
 
     def receive(self, chunk: Chunk) -> list[LocalReading]:
-        """The readings that a chunk completes."""
+        """Return the readings that a chunk completes."""
         self._now_ns = chunk.arrived_ns
         readings: list[LocalReading] = []
         for fix in self._decoder.feed(chunk.data):

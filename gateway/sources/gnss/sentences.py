@@ -64,7 +64,7 @@ class GnssDecoder:
         self._accuracy: tuple[time, tuple[float, float, float]] | None = None
 
     def feed(self, data: bytes) -> list[Fix]:
-        """The fixes that these bytes complete, those that say "no fix" among them."""
+        """Return the fixes that these bytes complete, those that say "no fix" among them."""
         self._buffer += data
         fixes = []
         for message in self._messages():

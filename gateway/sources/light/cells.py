@@ -56,7 +56,8 @@ class CellArray:
         return CellSolution(direction, direct, float(found[3]), residual)
 
     def _inverse(self, is_lit: NDArray[np.bool_]) -> FloatArray:
-        """(4, k) readings to v and a: the pseudo-inverse, so a side without lit cells gets no part of v."""
+        """Return (4, k) readings to v and a: the pseudo-inverse, so a side without lit cells gets no part of
+        v."""
         key = is_lit.tobytes()
         if key not in self._inverses:
             design = np.hstack([self._normals * is_lit[:, None], np.ones((len(is_lit), 1))])

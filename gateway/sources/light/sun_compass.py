@@ -92,8 +92,8 @@ class SunCompass:
         self._world = np.full(3, np.nan)
 
     def sighted(self, frame: ImuFrame) -> ImuFrame:
-        """The frame with where each module sees the sun, and without its magnetic field if the sun is in the
-        place of it."""
+        """Return the frame with where each module sees the sun, and without its magnetic field if the sun is
+        in the place of it."""
         self._place_sun(frame.time_ns)
         dt = (frame.time_ns - self._time_ns) * 1e-9 if self._time_ns >= 0 else 0.0
         self._time_ns = frame.time_ns
@@ -125,7 +125,7 @@ class SunCompass:
         }
 
     def totals(self) -> Counter[str]:
-        """Readings of all modules by what they told: ``sun``, or why nothing."""
+        """Return readings of all modules by what they told: ``sun``, or why nothing."""
         return sum((module.counts for module in self._modules), Counter[str]())
 
     def _state(self, module: _Module) -> str:

@@ -16,7 +16,7 @@ from gateway.frames import FloatArray
 
 
 def sun_direction(time_ns: int, latitude_deg: float, longitude_deg: float) -> FloatArray:
-    """(3,) unit vector to the apparent sun, ENU; up is negative at night.
+    """Return (3,) unit vector to the apparent sun, ENU; up is negative at night.
 
     time_ns: UTC since 1970. latitude_deg: north; longitude_deg: east.
     """

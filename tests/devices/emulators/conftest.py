@@ -98,7 +98,7 @@ def human17() -> EmulatedBody:
 
 
 class Host:
-    """The other end of an emulated suit, in motion time: asks, and keeps what it hears."""
+    """The other end of an emulated suit, in motion time: asks, and keeps what it receives."""
 
     def __init__(self, traffic: SuitTraffic, step_s: float = 0.05) -> None:
         self.traffic = traffic

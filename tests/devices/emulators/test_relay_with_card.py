@@ -1,4 +1,4 @@
-"""A relay that records: everything it gathers, whether or not the host hears it."""
+"""A relay that records: everything it gathers, whether or not the host receives it."""
 
 from __future__ import annotations
 

@@ -234,7 +234,7 @@ def clocked(receiver: MarkerReceiver, time_s: float, arrived_ns: int, **more: in
 
 
 def test_a_senders_clock_that_drifts_is_followed_for_an_hour() -> None:
-    """By 100 ppm, with a delay of 2 to 12 ms: what is told stays within 2 ms of the instant."""
+    """By 100 ppm, with a delay of 2 to 12 ms: the instants stay within 2 ms of the instant."""
     receiver, delays = MarkerReceiver(), np.random.default_rng(1).uniform(2e6, 12e6, 36_000)
     for k, delay_ns in enumerate(delays.tolist()):
         told = clocked(receiver, k * 0.1, round(k * 1e8 * 1.0001 + delay_ns))

@@ -1,4 +1,4 @@
-"""The whole of it: a person who bows, a machine by its inertia file, and what is told of bad input."""
+"""The whole of it: a person who bows, a machine by its inertia file, and errors on bad input."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""What is told of motions that an analysis can say little about."""
+"""Notes on motions that an analysis can say little about."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The table of docs/conventions.md, row by row: which value grows with which movement."""
+"""The table of docs/reference/conventions.md, row by row: which value grows with which movement."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gateway.body.rig import load_body
 from gateway.geometry import quaternion
 from gateway.viewer.pose_table import attitude
 
-PAGE = Path(__file__).parents[3] / "docs" / "conventions.md"
+PAGE = Path(__file__).parents[3] / "docs" / "reference" / "conventions.md"
 ROW = re.compile(r"\| ([\w ]+) \| `(\w+)` \| ([+-])([enu]) \| `(\w+)` `(\w+)` \| (\w+) (grows|falls) \|")
 ROWS = ROW.findall(PAGE.read_text())
 BODY = load_body("human_17")

@@ -38,7 +38,7 @@ def test_regions_are_those_of_the_picture_to_come():
     for instant in zip(*both, strict=True):
         before = steering.orders()
         steering.take(list(instant))
-    assert all(order.is_told for of_camera in before for order in of_camera)
+    assert all(order.is_ordered for of_camera in before for order in of_camera)
     for person, known in enumerate((WALKER, OTHER)):
         for camera, orders in zip(CAMERAS, before, strict=True):
             true = person_region(camera, known.keypoints[6 + AHEAD - 1], KEYPOINTS.names)
@@ -65,5 +65,5 @@ def test_left_and_right_of_one_camera_are_put_back_and_of_most_are_left():
 
 def test_without_a_pose_cameras_follow_by_themselves():
     steering = Steering(CAMERAS, KEYPOINTS, 1)
-    assert not any(order.is_told for (order,) in steering.orders())
+    assert not any(order.is_ordered for (order,) in steering.orders())
     assert np.all([order.region is None for (order,) in steering.orders()])

@@ -1,4 +1,4 @@
-"""What light readings are taken, what is turned away and why, and what is told about it."""
+"""What light readings are taken, what is turned away and why, and how that is reported."""
 
 from dataclasses import replace
 from datetime import UTC, datetime

@@ -25,7 +25,7 @@ async def test_an_attempt_given_up_while_it_connects_leaves_no_word_and_no_socke
         connecting = asyncio.create_task(attempt())
         await asyncio.sleep(0)  # the thread that connects has been sent off
         connecting.cancel()
-        time.sleep(0.3)  # noqa: ASYNC251 - it connects while the loop is busy, which hears of a closed socket
+        time.sleep(0.3)  # noqa: ASYNC251 - it connects while the loop is busy, which learns of a closed socket
         with pytest.raises(asyncio.CancelledError):
             await connecting
         await asyncio.sleep(0.05)

@@ -20,7 +20,7 @@ BAD = ReasonCode(PacketTypes.PUBACK, "Not authorized")
 
 
 def test_a_refused_topic_is_told_once_and_forgotten_when_it_is_taken_again(caplog):
-    rights = PublishRights(are_told=True)
+    rights = PublishRights(are_reported=True)
     assert rights.state == "unknown"
     rights.answered("mocap/lab/pose", BAD)
     rights.answered("mocap/lab/body", BAD)
@@ -36,7 +36,7 @@ def test_a_refused_topic_is_told_once_and_forgotten_when_it_is_taken_again(caplo
 
 
 def test_an_answer_of_mqtt_3_1_1_says_nothing():
-    rights = PublishRights(are_told=False)
+    rights = PublishRights(are_reported=False)
     rights.answered("mocap/lab/pose", GOOD)
     assert rights.state == "unknown"
 

@@ -1,4 +1,4 @@
-"""Weights: where they are kept, how they come, and what is told when they do not."""
+"""Weights: where they are kept, how they come, and the errors when they do not."""
 
 import hashlib
 import io

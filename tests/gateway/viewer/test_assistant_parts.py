@@ -13,7 +13,7 @@ from gateway.calibration.movement_check import MOVEMENTS
 from gateway.calibration.procedure import PROCEDURE
 from gateway.errors import GatewayError
 from gateway.modules.assignment import Wardrobe
-from gateway.viewer.assistant import conflict_lines, devices_of, findings, found_table, told
+from gateway.viewer.assistant import conflict_lines, devices_of, findings, found_table, proposal_text
 from gateway.viewer.body_steps import instruction_of, progress, result_table
 from gateway.viewer.module_table import RecordingStatus
 from gateway.viewer.sensor_tab import result_table as sensor_table
@@ -91,9 +91,9 @@ def test_the_table_names_who_is_silent_and_who_shares_an_id(language):
 
 def test_what_would_be_written_is_told_before():
     wardrobe = Wardrobe(LISTED)
-    assert told(wardrobe.propose("upper_arm", FIRST), "en") == "upper arm: it is module 0 already"
-    assert told(wardrobe.propose("hand", FIRST), "en") == "hand: module 0 becomes 2"
-    exchange = told(wardrobe.propose("<b>", FIRST), "en")
+    assert proposal_text(wardrobe.propose("upper_arm", FIRST), "en") == "upper arm: it is module 0 already"
+    assert proposal_text(wardrobe.propose("hand", FIRST), "en") == "hand: module 0 becomes 2"
+    exchange = proposal_text(wardrobe.propose("<b>", FIRST), "en")
     assert exchange == "<b>: module 0 becomes 1, and the one that is 1 becomes 0"
 
 
@@ -198,10 +198,10 @@ def test_a_recording_s_clock_goes_on_between_messages():
 async def test_what_goes_wrong_is_told_whatever_it_is(error, said):
     told = asyncio.Queue()
 
-    async def deed():
+    async def action():
         raise error
 
-    Errands(asyncio.get_running_loop()).start(deed, told.put_nowait)
+    Errands(asyncio.get_running_loop()).start(action, told.put_nowait)
     assert said in await told.get()
 
 

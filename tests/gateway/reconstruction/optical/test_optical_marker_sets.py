@@ -17,7 +17,7 @@ from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 
-DOCUMENT = Path(__file__).parents[4] / "docs" / "optical.md"
+DOCUMENT = Path(__file__).parents[4] / "docs" / "guide" / "optical.md"
 RATE_HZ = 100.0
 LENGTHS = {"thigh": 0.18, "shank": 0.19}
 HIP = np.array([-0.11, -0.03, -0.05])
