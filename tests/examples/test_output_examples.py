@@ -1,4 +1,4 @@
-"""Programs that take what other outputs send, run as docs/guide/outputs.md and the guide of the examples say."""
+"""Programs that take what other outputs send, run as docs/guide/outputs.md and the examples' guide say."""
 
 from __future__ import annotations
 
@@ -75,7 +75,9 @@ async def lines_of(settings: dict, *typed: object, count: int, environment: dict
 
 
 async def test_the_lines_about_udp_json_print_poses(unused_port, tmp_path):
-    (program,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "guide" / "outputs.md").read_text(), re.DOTALL)
+    (program,) = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs" / "guide" / "outputs.md").read_text(), re.DOTALL
+    )
     assert len(program.splitlines()) <= 10
     (tmp_path / "receive.py").write_text(program.replace("39600", str(unused_port)))
     typed = [sys.executable, "-u", tmp_path / "receive.py"]
