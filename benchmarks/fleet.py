@@ -247,7 +247,7 @@ async def _broken(fleet: DemoFleet, rows: list[list[str]]) -> tuple[dict[str, fl
     heard, worst = Heard(Fleet()), dict[str, float]()
     first, readers, last = fleet.cluster.nodes
 
-    async def told(what: str, act: Callable[[], None], seconds: float) -> None:
+    async def act_and_count(what: str, act: Callable[[], None], seconds: float) -> None:
         before = heard.missing()
         since = time.monotonic()
         act()
@@ -267,18 +267,18 @@ async def _broken(fleet: DemoFleet, rows: list[list[str]]) -> tuple[dict[str, fl
 
     async with _listening(fleet, heard):
         await _until_all_are_heard(heard)
-        await told("nothing, for comparison", lambda: None, STEADY_S)
-        await told("killed, with SIGKILL", first.kill, AWAY_S)
-        await told("brought back", first.start, AWAY_S)
-        await told("frozen, as behind a cut cable", last.freeze, AWAY_S)
-        await told("thawed", last.thaw, AWAY_S)
+        await act_and_count("nothing, for comparison", lambda: None, STEADY_S)
+        await act_and_count("killed, with SIGKILL", first.kill, AWAY_S)
+        await act_and_count("brought back", first.start, AWAY_S)
+        await act_and_count("frozen, as behind a cut cable", last.freeze, AWAY_S)
+        await act_and_count("thawed", last.thaw, AWAY_S)
         slow = threading.Thread(target=_slow, args=(first, AWAY_S))
-        await told("slow, halted for 0.2 s of every 0.4 s", slow.start, AWAY_S)
+        await act_and_count("slow, halted for 0.2 s of every 0.4 s", slow.start, AWAY_S)
         await asyncio.to_thread(slow.join)
-        await told("nothing, for what is late", lambda: None, AWAY_S)
+        await act_and_count("nothing, for what is late", lambda: None, AWAY_S)
         _, unheard = heard.missing()
-        await told("the reader's own killed", readers.kill, AWAY_S)
-        await told("the reader's own brought back", readers.start, AWAY_S)
+        await act_and_count("the reader's own killed", readers.kill, AWAY_S)
+        await act_and_count("the reader's own brought back", readers.start, AWAY_S)
     wrong = 0
     for first in range(NODES):
         kept = await _retained(fleet, first)

@@ -81,7 +81,7 @@ def draw(found: Analysis, muscles: MuscleResult | None, frame: int, scene: Scene
         _forces(view, found, frame)
     _write(picture, f"{found.time_s[frame]:.2f} s", (10, 22), 0.5)
     for k, (side, colour) in enumerate(_SIDES.items()):
-        _write(picture, _side_told(side, float(found.time_s[frame]), scene), (90 + 120 * k, 22), 0.45, colour)
+        _write(picture, _side_text(side, float(found.time_s[frame]), scene), (90 + 120 * k, 22), 0.45, colour)
     for k, c in enumerate(np.flatnonzero(found.floor.source[frame] == Source.UNKNOWN).tolist()):
         name = found.skeleton.segment_names[int(found.floor.segments[c])].replace("_", " ")
         _write(picture, f"{name} stands on an unknown force", (10, 44 + 18 * k), 0.42)
@@ -90,7 +90,7 @@ def draw(found: Analysis, muscles: MuscleResult | None, frame: int, scene: Scene
     return picture
 
 
-def _side_told(side: str, time_s: float, scene: Scene) -> str:
+def _side_text(side: str, time_s: float, scene: Scene) -> str:
     """A side's name, with where in its stride the foot is, as far as that is known."""
     own = (each for each in scene.strides if each.foot.startswith(side))
     stride = next((each for each in own if each.start_s <= time_s <= each.end_s), None)

@@ -41,7 +41,7 @@ def users_config(passwords: Mapping[str, str], base_topic: str = "mocap") -> str
     """Return the users of a cluster as its configuration wants them.
 
     passwords: by name of the gateway, ``READER``, or ``LEAF`` and the name of a site. A gateway may publish
-    below its own name alone, and read what is told there of it and asked.
+    below its own name alone, and read what others publish and ask there.
     Raises ``ValueError`` for a name that cannot stand in a topic.
     """
     users = [_user(name, password, base_topic) for name, password in passwords.items()]

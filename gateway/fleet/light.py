@@ -121,7 +121,7 @@ async def _offer(outputs: Sequence[MqttOutput], frames: Sequence[SkeletonFrame],
         due = begun + count * step
         wait = due - loop.time()
         if wait < -_LONGEST_LAG_S:
-            begun -= wait  # held up: those poses were never made, and are not made all at once
+            begun -= wait  # delayed: those poses were never made, and are not made all at once
         if wait > 0:
             await asyncio.sleep(wait)
         elif which == 0:

@@ -35,7 +35,7 @@ class SensorTab(StepTab):
     def _add_parts(self) -> list[Any]:
         why = self._server.gui.add_html(line(self._say("sensors_why")))
         begin, resume = self._button("sensors_begin", self._begin), self._button("resume", self._watch)
-        self._table = self._server.gui.add_html(self._told())
+        self._table = self._server.gui.add_html(self._table_html())
         enough = self._button("sensors_result", self._find)
         in_file = self._button("sensors_accept", self._keep_in_file)
         in_modules = self._button("sensors_flash", self._keep_in_modules)
@@ -58,9 +58,9 @@ class SensorTab(StepTab):
         found: Mapping[str, Mapping[str, Mapping[str, Any]]] | None = None,
     ) -> None:
         self._status, self._found = status, found
-        self._table.content = self._told()
+        self._table.content = self._table_html()
 
-    def _told(self) -> str:
+    def _table_html(self) -> str:
         if self._found is not None:
             return result_table(self._found, self._language)
         return "" if self._status is None else progress_table(self._status, self._language)

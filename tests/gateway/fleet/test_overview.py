@@ -26,7 +26,7 @@ INFO = BridgeInfo(
 
 
 class Heard:
-    """A fleet that hears what a test says."""
+    """A fleet that receives what a test says."""
 
     def __init__(self, **options: Any) -> None:
         self.fleet = Fleet(**options)

@@ -158,7 +158,7 @@ async def test_what_nobody_has_foreseen_is_told_in_the_language_that_is_chosen(p
     assert "bitte melden" in await told.get()
 
 
-async def pressed(deed):
+async def pressed(action):
     """Do what a button does, as if another one had been pressed since."""
     _PLACE.set("nowhere")
-    return await deed()
+    return await action()
