@@ -40,10 +40,10 @@ def live(method: str, case: Case, variant: Variant, settings: ChainSettings | No
     body, finder = _body(method, case, variant, settings)
     prepared = body.prepare(case.frames)
     stood_s = prepared.stood_s
-    covariance = np.empty((*stood_s.shape, 3, 3))
+    covariance = np.empty((*stood_s.shape, 2, 3, 3))
     found = finder.poses(prepared.observations, prepared.frames, stood_s, covariance)
     frames = body.finish(found, prepared)
-    return Solution(*_stacked(frames), covariance)
+    return Solution(*_stacked(frames), covariance[:, :, 1])
 
 
 def smoothed(method: str, case: Case, variant: Variant, settings: ChainSettings | None = None) -> Solution:

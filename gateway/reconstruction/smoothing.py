@@ -130,7 +130,7 @@ class Smoother:
     def _go_forward(self, frames: Sequence[ImuFrame]) -> None:
         prepared = self._body.prepare(frames)
         clean, seen, stood_s = prepared.observations, prepared.frames, prepared.stood_s
-        covariance = np.empty((*stood_s.shape, 3, 3))
+        covariance = np.empty((*stood_s.shape, 2, 3, 3))
         found = self._forward.poses(clean, seen, stood_s, covariance)
         readings = [(t, reading) for t, frame in enumerate(clean) for reading in frame.local]
         block = _Block(
@@ -149,7 +149,7 @@ class Smoother:
             ).reshape(-1, 4),
             readings=np.array([(r.value, r.sigma) for _, r in readings], np.float64).reshape(-1, 2, 3),
             **{name: getattr(found, name) for name in (*POSE_ARRAYS, "root")},
-            covariance=covariance,
+            covariance=covariance[:, :, 0].copy(),
         )
         self._end_ns = int(block.time_ns[-1])
         self._write(self._n_blocks, block)
@@ -160,11 +160,13 @@ class Smoother:
     ) -> list[LocalReading]:
         block = self._read(k)
         frames, earlier = seen_backward(block.frames(), self._end_ns, later)
-        covariance = np.empty_like(block.covariance)
+        covariance = np.empty((*block.sigma.shape, 2, 3, 3))
         found = backward.update_many(frames, np.ascontiguousarray(block.stood_s[::-1]), covariance)[::-1]
         q_back = np.stack([frame.q_wb for frame in found])
         known_later = np.isnan(block.q_wb[..., 0]) & np.isfinite(q_back[..., 0])
-        put_together(block.q_wb, block.covariance, q_back, covariance[::-1].copy(), block.sigma)
+        sigma_back = np.stack([frame.sigma for frame in found])
+        P_back = covariance[::-1, :, 0].copy()
+        put_together(block.q_wb, block.covariance, block.sigma, q_back, P_back, sigma_back)
         block.status[known_later] = Status.PREDICTED
         block.angular_rate = _mean(block.angular_rate, -np.stack([frame.angular_rate for frame in found]))
         block.joint_acceleration = _mean(

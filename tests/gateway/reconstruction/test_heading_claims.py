@@ -101,7 +101,7 @@ def test_certainty_tells_tilt_heading_and_neighbours_apart(frames, uses_field, o
 def test_tilts_are_told_as_sure_as_the_joints_around_them_agree(frames, uses_field):
     suit, used = CHAIN.suit, tuning()
     reconstructor = JointReconstructor(suit, 1.0 / RATE_HZ, ChainSettings(uses_field=uses_field))
-    covariance = np.empty((len(frames), suit.skeleton.n_segments, 3, 3))
+    covariance = np.empty((len(frames), suit.skeleton.n_segments, 2, 3, 3))
     poses = reconstructor.update_many(frames, None, covariance)
     segments, parents = reconstructor.state()["segments"], suit.skeleton.parents
     lasting = (used.force_bias / np.linalg.norm(suit.gravity)) ** 2
@@ -110,9 +110,9 @@ def test_tilts_are_told_as_sure_as_the_joints_around_them_agree(frames, uses_fie
         around = [segments["joint_nis"][k] for k, p in enumerate(parents) if p >= 0 and s in (k, p)]
         share = max(used.tilt_nis * np.mean(around), used.least_tilt_nis)
         tilt = share * (segments["P"][s, :2, :2] + lasting * np.eye(2))
-        np.testing.assert_allclose(covariance[-1, s, :2, :2], tilt)
-        assert not covariance[-1, s, 2, :2].any()
-        of_heading = covariance[-1, s, 2, 2]
+        np.testing.assert_allclose(covariance[-1, s, 1, :2, :2], tilt)
+        assert not covariance[-1, s, 1, 2, :2].any()
+        of_heading = covariance[-1, s, 1, 2, 2]
         assert of_heading <= segments["P"][s, 2, 2]
         assert told[name]["sigma_tilt"] == pytest.approx(np.sqrt(np.trace(tilt)))
         assert poses[-1].sigma[s] == pytest.approx(np.sqrt(np.trace(tilt) + of_heading))

@@ -82,13 +82,13 @@ def _judged(seed: int) -> Judged:
     times = np.arange(round(SECONDS * RATE_HZ) + 1) / RATE_HZ
     state = motion.state(times)
     frames = _frames(suit, state, times, rng)
-    covariance = np.empty((len(times), suit.skeleton.n_segments, 3, 3))
+    covariance = np.empty((len(times), suit.skeleton.n_segments, 2, 3, 3))
     poses = JointReconstructor(suit, 1.0 / RATE_HZ).update_many(frames, None, covariance)
     at = [round(time_s * RATE_HZ) for time_s in JUDGED_AT_S]
     found = Rotation.from_quat(np.concatenate([poses[k].q_wb for k in at]), scalar_first=True)
     true = Rotation.from_matrix(state.R_wb[at].reshape(-1, 3, 3))
     error = (found * true.inv()).as_rotvec().reshape(len(at), -1, 3)  # world axes
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance[at]), error[..., None])[..., 0]
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance[at, :, 1]), error[..., None])[..., 0]
     sigma = np.stack([poses[k].sigma for k in at])
     return Judged(whitened, sigma < 1.0)
 

@@ -95,7 +95,7 @@ class ChainReconstructor:
         self._place = PlaceKeeper()
         self._wearing = wearing_of(suit, placing[0] if placing else None, nominal_interval_s)
         self._no_readings = np.zeros((0, 8))
-        self._no_covariance = np.zeros((0, self._n, 3, 3))
+        self._no_covariance = np.zeros((0, self._n, 2, 3, 3))
         self._never_resting = np.zeros((1, self._n))
         self._room, self._used = room_for(_FRAMES_AT_ONCE, self._n), 0
         """Live frames are views of it; when it is full another takes its place."""
@@ -215,8 +215,8 @@ class ChainReconstructor:
     ) -> list[SkeletonFrame]:
         """Instants in time order, in one call: the same as ``update`` of each, bit for bit, and faster.
 
-        stood_s: (T, n_segments) as there. covariance: (T, n_segments, 3, 3) is filled with that of the
-        orientation errors, world axes, rad².
+        stood_s: (T, n_segments) as there. covariance: (T, n_segments, 2, 3, 3) is filled with that of
+        the orientation errors, world axes, rad²: the estimate's own, and as ``sigma`` tells it.
         """
         if not observations:
             return []

@@ -9,7 +9,6 @@ innovation.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -100,10 +99,15 @@ def _turned_reading(reading: LocalReading, end_ns: int) -> LocalReading:
 
 @compiled
 def put_together(
-    q_wb: FloatArray, P: FloatArray, q_back: FloatArray, P_back: FloatArray, sigma: FloatArray
+    q_wb: FloatArray,
+    P: FloatArray,
+    sigma: FloatArray,
+    q_back: FloatArray,
+    P_back: FloatArray,
+    sigma_back: FloatArray,
 ) -> None:
     """(66): orientations (T, n, 4) of the forward filter take in those of the backward one, in place, and
-    sigma (T, n) says how sure both are together. P, P_back: (T, n, 3, 3) rad², world axes.
+    sigma (T, n), rad, that of the surer one. P, P_back: (T, n, 3, 3) rad², world axes.
 
     With the rotation ``δ = log(R_back R⁻¹)`` the orientation moves by ``P (P + P_back)⁻¹ δ``. Where only one
     of them knows anything, that one counts. The backward filter starts from the forward one's end, so the two
@@ -114,10 +118,9 @@ def put_together(
         for s in range(q_wb.shape[1]):
             if not is_finite(q_back[t, s]):
                 continue
-            sure = math.sqrt(P_back[t, s, 0, 0] + P_back[t, s, 1, 1] + P_back[t, s, 2, 2])
             if not is_finite(q_wb[t, s]):
                 q_wb[t, s] = q_back[t, s]
-                sigma[t, s] = sure
+                sigma[t, s] = sigma_back[t, s]
                 continue
             for i in range(3):
                 for j in range(3):
@@ -128,4 +131,4 @@ def put_together(
             turn = gain @ quaternion.to_rotation_vector(difference)
             q = quaternion.multiply(quaternion.from_rotation_vector(turn), q_wb[t, s])
             q_wb[t, s] = quaternion.canonical(quaternion.normalise(q))
-            sigma[t, s] = min(sigma[t, s], sure)
+            sigma[t, s] = min(sigma[t, s], sigma_back[t, s])

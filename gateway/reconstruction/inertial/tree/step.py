@@ -187,8 +187,9 @@ def advance(
     """All instants in turn; after the first two arguments those of ``Inputs``, the parts of a ``Filter`` and
     those of ``Outputs``, which are filled from row ``first`` on.
 
-    stood_s: (T, n) for how long each segment has stood still, s. covariance: (T, n, 3, 3) is filled with that
-    of the orientation errors, world axes, rad²; empty: not wanted.
+    stood_s: (T, n) for how long each segment has stood still, s. covariance: (T, n, 2, 3, 3) is filled
+    with that of the orientation errors, world axes, rad², the estimate's own and as published; empty: not
+    wanted.
     """
     inputs = Inputs(
         time_ns, specific_force, angular_rate, magnetic_field, status, clipped, root_position, readings_end,
@@ -230,7 +231,8 @@ def _advance(
         mark_unaided(body, state, tuning, work, status)
         if len(covariance) > 0:
             for s in range(n):
-                rotation_matrix.copy_into(covariance[t, s], state.segments[s].published)
+                _own_covariance(covariance[t, s, 0], state.segments[s], body.world)
+                rotation_matrix.copy_into(covariance[t, s, 1], state.segments[s].published)
         _place(p_w, wearing, q_wb, inputs.root_position[t])
 
 
@@ -404,6 +406,18 @@ def _outputs(
                 q_wb[s] = quaternion.canonical(quaternion.multiply(turned, q_wb[s]))
             for i in range(3):
                 rate[s, i] = segment.rate[i] - segment.bias[i]
+
+
+@compiled
+def _own_covariance(P: FloatArray, segment: Segment, world: World) -> None:
+    """P (3, 3) ← of the estimate, as other estimates are weighed against it: its heading is its compass's."""
+    rotation_matrix.copy_into(P, segment.P)
+    compass = segment.compass
+    if world.uses_field and P[2, 2] > compass.error_variance:
+        share = math.sqrt(compass.error_variance / P[2, 2])
+        for i in range(3):
+            P[2, i] *= share
+            P[i, 2] *= share
 
 
 @compiled
