@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from devices import recording_format as fmt
 from devices.emulators.bodies import EmulatedBody
 from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit
@@ -13,6 +14,7 @@ from devices.emulators.motions import BodyMotion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing, gateway_time_ns
 from gateway.body.rig import load_rig
+from gateway.contract.ros_messages import BodyTransforms
 from gateway.emulation.rig import dress, move
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import Pipeline
@@ -26,13 +28,23 @@ LINK = "suit"
 _STEP_S = 0.02
 
 
-def write_session(files: SessionFiles, handled: Iterable[tuple[Chunk, list[SkeletonFrame]]]) -> None:
-    """Chunks and what came of them, as the recorder's thread writes them; flushed by the time of the data."""
+def write_session(
+    files: SessionFiles,
+    handled: Iterable[tuple[Chunk, list[SkeletonFrame]]],
+    transforms: BodyTransforms | None = None,
+) -> None:
+    """Write chunks and what came of them as the recorder's thread does; flushed by the time of the data.
+
+    transforms: with them the channel for viewers, too.
+    """
     due_ns = 0
     for chunk, frames in handled:
         files.write(f"/chunks/{chunk.link}", chunk.arrived_ns, chunk.data, {})
         for frame in frames:
             files.write("/skeleton", chunk.arrived_ns, encode_skeleton_frame(frame), {})
+            if transforms is not None:
+                encoded = transforms.encode(frame.time_ns, frame.q_wb, frame.p_w)
+                files.write(fmt.TRANSFORMS, chunk.arrived_ns, encoded, {})
         if chunk.arrived_ns >= due_ns:
             due_ns = chunk.arrived_ns + round(FLUSH_MS * 1e6)
             files.flush()
