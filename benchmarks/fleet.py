@@ -169,7 +169,7 @@ async def _until_all_are_heard(heard: Heard) -> None:
 def _spent(fleet: DemoFleet) -> tuple[float, float]:
     """Processor time of the brokers and of the light gateways so far, s."""
     brokers = [node.pid for node in fleet.cluster.nodes]
-    return _processor_s(brokers), _processor_s(fleet.pids)
+    return _processor_s(brokers), _processor_s([process.pid for process in fleet.processes])
 
 
 def _processor_s(pids: list[int]) -> float:
@@ -270,8 +270,10 @@ async def _broken(fleet: DemoFleet, rows: list[list[str]]) -> tuple[dict[str, fl
         await act_and_count("nothing, for comparison", lambda: None, STEADY_S)
         await act_and_count("killed, with SIGKILL", first.kill, AWAY_S)
         await act_and_count("brought back", first.start, AWAY_S)
-        await act_and_count("frozen, as behind a cut cable", last.freeze, AWAY_S)
-        await act_and_count("thawed", last.thaw, AWAY_S)
+        await act_and_count(
+            "frozen, as behind a cut cable", lambda: os.kill(last.pid, signal.SIGSTOP), AWAY_S
+        )
+        await act_and_count("thawed", lambda: os.kill(last.pid, signal.SIGCONT), AWAY_S)
         slow = threading.Thread(target=_slow, args=(first, AWAY_S))
         await act_and_count("slow, halted for 0.2 s of every 0.4 s", slow.start, AWAY_S)
         await asyncio.to_thread(slow.join)
@@ -290,9 +292,9 @@ async def _broken(fleet: DemoFleet, rows: list[list[str]]) -> tuple[dict[str, fl
 def _slow(node: Node, seconds: float) -> None:
     until = time.monotonic() + seconds
     while time.monotonic() < until:
-        node.freeze()
+        os.kill(node.pid, signal.SIGSTOP)
         time.sleep(0.2)
-        node.thaw()
+        os.kill(node.pid, signal.SIGCONT)
         time.sleep(0.2)
 
 
@@ -311,7 +313,7 @@ async def _retained(fleet: DemoFleet, first: int) -> dict[str, str]:
 
 async def _a_process_dies(fleet: DemoFleet) -> int:
     """Kill the gateways of one process; return how many of them a node does not tell as offline."""
-    os.kill(fleet.pids[0], signal.SIGKILL)
+    fleet.processes[0].kill()
     await asyncio.sleep(10)
     killed = fleet.names[:25]
     wrong = 0

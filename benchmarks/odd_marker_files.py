@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -194,7 +195,7 @@ def trc_lines(trial: MarkerTrial, name: str) -> list[str]:
 def write_case(folder: Path, case: str, trials: Sequence[MarkerTrial]) -> list[Path]:
     """The static trial and the walk of a case, the second one with its faults."""
     change, edit = CASES[case]
-    stem = case.replace(" ", "_").replace(",", "")
+    stem = re.sub(r"\W+", "_", case)
     paths = [folder / f"{stem}_{kind}.trc" for kind in ("static", "walk")]
     for path, trial, faults in zip(paths, trials, (list, edit), strict=True):
         path.write_text("\n".join(faults(trc_lines(change(trial), path.name))) + "\n", encoding="utf-8")

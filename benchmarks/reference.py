@@ -38,8 +38,8 @@ def commands_page() -> str:
 
 def _sections(command: Any, name: str, parent: Any) -> Iterator[str]:
     context = command.context_class(command, parent=parent, info_name=name.rpartition(" ")[2])
-    if hasattr(command, "list_commands"):
-        for below in command.list_commands(context):
+    if hasattr(command, "commands"):
+        for below in command.commands:
             yield from _sections(command.get_command(context, below), f"{name} {below}", context)
         return
     yield f"## {name.removeprefix('mocap-gateway ')}\n"

@@ -91,7 +91,7 @@ def named(each: Shown) -> str:
 
 def check(command: Any, name: str, words: list[str], patch: pytest.MonkeyPatch, parent: Any = None) -> None:
     """Raise what the program raises for words that it does not take."""
-    if not hasattr(command, "list_commands"):
+    if not hasattr(command, "commands"):
         for parameter in command.params:
             parameter.callback = None  # it may look at files
             parameter.required = False  # of a span that names an option the rest is left to the reader

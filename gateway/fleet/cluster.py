@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import secrets
 import shutil
 import signal
@@ -186,14 +185,6 @@ cluster {{ name: mocap, host: 127.0.0.1, port: {self._cluster_port}, no_advertis
     def stop(self) -> None:
         """End it in good order."""
         self._end(signal.SIGTERM)
-
-    def freeze(self) -> None:
-        """Have it answer nobody, with all its connections open."""
-        os.kill(self.pid, signal.SIGSTOP)
-
-    def thaw(self) -> None:
-        """Let a frozen one go on."""
-        os.kill(self.pid, signal.SIGCONT)
 
     def _end(self, number: signal.Signals) -> None:
         if self._process is None:

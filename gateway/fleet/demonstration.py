@@ -40,7 +40,7 @@ class DemoFleet:
         self._wanted = wanted
         self._passwords = new_passwords(self.names)
         self.cluster = Cluster(folder / "brokers", self._passwords)
-        self._processes: list[subprocess.Popen[bytes]] = []
+        self.processes: list[subprocess.Popen[bytes]] = []
 
     def settings(self, user: str = READER, first: int = 0) -> MqttSettings:
         """How a user reaches the cluster; first: the node that is tried first."""
@@ -86,7 +86,7 @@ class DemoFleet:
         file.write_text(plan.model_dump_json())
         tree = str(Path(__file__).parents[2])
         with file.with_suffix(".log").open("wb") as log:
-            self._processes.append(
+            self.processes.append(
                 subprocess.Popen(
                     [sys.executable, "-m", "gateway.fleet.light", str(file)],
                     env=os.environ | {"PYTHONPATH": tree},
@@ -97,14 +97,9 @@ class DemoFleet:
                 )
             )
 
-    @property
-    def pids(self) -> list[int]:
-        """Of the processes of the light gateways."""
-        return [process.pid for process in self._processes]
-
     def trouble(self) -> str | None:
         """What a process of light gateways said that ended by itself; None: all run."""
-        for process, log in zip(self._processes, sorted(self._folder.glob("light_*.log")), strict=True):
+        for process, log in zip(self.processes, sorted(self._folder.glob("light_*.log")), strict=True):
             if process.poll() is not None:
                 return log.read_text(errors="replace").strip().rpartition("\n")[2] or "it said nothing"
         return None
@@ -112,9 +107,9 @@ class DemoFleet:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for process in self._processes:
+        for process in self.processes:
             process.terminate()
-        for process in self._processes:
+        for process in self.processes:
             try:
                 process.wait(_STOP_S)
             except subprocess.TimeoutExpired:

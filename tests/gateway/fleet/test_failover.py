@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import os
+import signal
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
@@ -103,7 +105,10 @@ async def test_poses_go_on_within_two_seconds_and_what_is_missing_comes_late(
         reading = asyncio.create_task(read())
         await until(lambda: len(arrived) > 2 * RATE_HZ)
         node = cluster.nodes[0]
-        getattr(node, how)()
+        if how == "kill":
+            node.kill()
+        else:
+            os.kill(node.pid, signal.SIGSTOP)
         lost_s, already = time.monotonic(), len(arrived)
         await until(lambda: arrived[-1][0] - lost_s > RECOVER_S + 1 and len(arrived) > already + RATE_HZ)
         longest = max(later[0] - one[0] for one, later in itertools.pairwise(arrived))
@@ -120,7 +125,7 @@ async def test_poses_go_on_within_two_seconds_and_what_is_missing_comes_late(
         assert len(live) == len(set(live))
         reading.cancel()
         if how == "freeze":
-            node.thaw()
+            os.kill(node.pid, signal.SIGCONT)
 
 
 @pytest.mark.system

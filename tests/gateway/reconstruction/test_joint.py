@@ -8,7 +8,11 @@ from simulated_body import angular_error_deg, arm, imu_frames, instants, simulat
 
 from gateway.frames import Status
 from gateway.reconstruction import create_reconstructor
-from gateway.reconstruction.inertial.tree.reconstructor import JointReconstructor, OutwardReconstructor
+from gateway.reconstruction.inertial.tree.reconstructor import (
+    STATE_VERSION,
+    JointReconstructor,
+    OutwardReconstructor,
+)
 
 RATE_HZ = 100
 BOTH = pytest.mark.parametrize("kind", [JointReconstructor, OutwardReconstructor])
@@ -51,7 +55,7 @@ def test_a_state_of_another_body_is_refused(moving):
         reconstructor.set_state(state)
 
 
-@pytest.mark.parametrize("version", [{}, {"version": np.array([8])}])
+@pytest.mark.parametrize("version", [{}, {"version": np.array([STATE_VERSION + 1])}])
 def test_a_state_of_another_version_is_refused(moving, version):
     reconstructor = JointReconstructor(moving[0].suit(), 0.01)
     state = reconstructor.state()
