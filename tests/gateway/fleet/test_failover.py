@@ -10,7 +10,7 @@ import signal
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import aiomqtt
 import orjson
@@ -61,8 +61,10 @@ async def offering(output: MqttOutput, source: PoseSource) -> AsyncIterator[list
 
 
 @contextlib.asynccontextmanager
-async def heard(settings: MqttSettings, topic: str) -> AsyncIterator[list[aiomqtt.Message]]:
-    """All messages of a filter, as soon as there is a broker."""
+async def heard(
+    settings: MqttSettings, topic: str, subscribed: asyncio.Event | None = None
+) -> AsyncIterator[list[aiomqtt.Message]]:
+    """All messages of a filter, as soon as there is a broker; ``subscribed`` is set once they are asked for."""
     messages: list[aiomqtt.Message] = []
 
     async def listen() -> None:
@@ -70,6 +72,8 @@ async def heard(settings: MqttSettings, topic: str) -> AsyncIterator[list[aiomqt
             with contextlib.suppress(aiomqtt.MqttError):
                 async with broker_connection(settings, settings.port, unique_identifier("test")) as client:
                     await client.subscribe(topic, qos=1)
+                    if subscribed is not None:
+                        subscribed.set()
                     async for message in client.messages:
                         messages.append(message)  # noqa: PERF401 - others look at it meanwhile
             await asyncio.sleep(0.01)
@@ -130,20 +134,36 @@ async def test_poses_go_on_within_two_seconds_and_what_is_missing_comes_late(
 
 @pytest.mark.system
 async def test_one_broker_that_was_away_gets_poses_late_on_a_topic_of_their_own(
-    mosquitto: Mosquitto, pose_source: PoseSource, tmp_path: Path, until: Until
+    mosquitto: Mosquitto,
+    pose_source: PoseSource,
+    tmp_path: Path,
+    until: Until,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     settings = MqttSettings(port=mosquitto.port, late=LateSettings(folder=tmp_path, rate=1000))
+    may_connect = asyncio.Event()
+    may_connect.set()
+
+    @contextlib.asynccontextmanager
+    async def when_allowed(*named: Any, **options: Any) -> AsyncIterator[aiomqtt.Client]:
+        """The gateway's connection, which waits for the reader: who comes later hears of no late pose."""
+        await may_connect.wait()
+        async with broker_connection(*named, **options) as client:
+            yield client
+
+    monkeypatch.setattr("gateway.outputs.mqtt.broker_connection", when_allowed)
     async with (
         MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output,
         offering(output, pose_source) as offered,
     ):
         await until(lambda: output.is_connected)
+        may_connect.clear()
         mosquitto.stop()
         await until(lambda: not output.is_connected)
         first_away = offered[-1] + 1
         await until(lambda: offered[-1] > first_away + RATE_HZ)
         last_away = offered[-1]
-        async with heard(settings, "mocap/lab/#") as messages:
+        async with heard(settings, "mocap/lab/#", may_connect) as messages:
             mosquitto.start()
             away = set(range(first_away, last_away))
             belated: list[dict[str, object]] = []
