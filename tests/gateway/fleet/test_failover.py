@@ -64,7 +64,7 @@ async def offering(output: MqttOutput, source: PoseSource) -> AsyncIterator[list
 async def heard(
     settings: MqttSettings, topic: str, subscribed: asyncio.Event | None = None
 ) -> AsyncIterator[list[aiomqtt.Message]]:
-    """All messages of a filter, as soon as there is a broker; ``subscribed`` is set once they are asked for."""
+    """All messages of a filter, as soon as there is a broker. subscribed: set once they are asked for."""
     messages: list[aiomqtt.Message] = []
 
     async def listen() -> None:
