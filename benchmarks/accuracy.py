@@ -116,7 +116,7 @@ def _add_recordings(report: Report) -> None:
     heads = ["recording", "figure", "lag, ms", "method", "total / tilt by segment"]
     heads += ["mean total", "mean tilt", "% in 2σ"]
     report.tables.append(
-        "### Real recordings with optical reference: RMSE, degrees\n\nOne constant heading and one constant "
+        "## Real recordings with optical reference: RMSE, degrees\n\nOne constant heading and one constant "
         "sensor-to-segment rotation a segment are taken out, and one constant lag of the optical system a "
         "recording, found by comparing its rates with the gyroscopes' (16 ms of `ring` are taken out as it "
         f"is read). `{HALF_LATER}`: VQF runs half a sampling interval ahead; here that is taken back. "

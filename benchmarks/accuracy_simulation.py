@@ -95,7 +95,7 @@ def add_convergence(report: Report) -> None:
             ]
     heads = ["modules", "gyroscopes", "rank", *(f"{rate:g} Hz" for rate in RATES_HZ)]
     report.tables.append(
-        "### Literal method, noise-free arm of 4 links, 3 rad/s and 20 rad/s² at the peaks: RMSE, degrees\n\n"
+        "## Literal method, noise-free arm of 4 links, 3 rad/s and 20 rad/s² at the peaks: RMSE, degrees\n\n"
         "The starting pose is given. Without gyroscopes two limits show: rounding of double precision, "
         "amplified by every rank and by 1/Δt² (on the joints, rank 4, beyond 800 Hz), and places of the "
         "module from which the equations cannot hold the heading (up an upright link).\n\n"
@@ -141,7 +141,7 @@ def add_fast_arm(report: Report) -> None:
                     rows.append([place, name, str(seed), felt_by, method, *cells])
     heads = ["arm", "wrong", "seed", "m/s² RMS", "method", *suit.skeleton.segment_names, "mean"]
     report.tables.append(
-        "### Simulated fast arms of 5 segments, 100 Hz unless said otherwise: RMSE, degrees\n\nOrientation "
+        "## Simulated fast arms of 5 segments, 100 Hz unless said otherwise: RMSE, degrees\n\nOrientation "
         "against the world, nothing aligned or taken out; the field shows the heading. m/s² RMS: of the "
         "modules' specific force, least and most. A base is fixed, or its position is told to 1 mm, 100 "
         f"times a second. `{HALF_LATER}`: most of VQF's error here is that it runs half a sampling interval "

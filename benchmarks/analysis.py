@@ -51,7 +51,7 @@ def run() -> Report:
     _add_live(report, walk)
     peer = opensim_beside(walk.measured, muscles, *STRIDE)
     if isinstance(peer, str):
-        report.tables.append(f"### OpenSim beside it\n\nNot run: {peer}")
+        report.tables.append(f"## OpenSim beside it\n\nNot run: {peer}")
     else:
         _add_peer(report, peer)
     return report
@@ -64,7 +64,7 @@ def _add_times(report: Report, walk: AnalysedTrial, muscles: MuscleResult) -> No
         Figure("analysis_ms_per_frame", total, "ms", "<5", "processor time, with muscles, no pictures")
     )
     rows = [[name, f"{ms:.2f}", f"{100 * ms / total:.0f} %"] for name, ms in spent.items()]
-    report.tables.append("### Processor time by stage, a frame\n\n" + table(["stage", "ms", "share"], rows))
+    report.tables.append("## Processor time by stage, a frame\n\n" + table(["stage", "ms", "share"], rows))
 
 
 def _add_moments(report: Report, walk: AnalysedTrial) -> None:
@@ -76,18 +76,18 @@ def _add_moments(report: Report, walk: AnalysedTrial) -> None:
             value = rms(row.distal - row.told)
             report.figures.append(Figure(f"{row.joint}_moment_rmse", value, "N m", "", note))
     report.tables.append(
-        "### Joint moments of a walking trial against the file's Plug-in-Gait, N m\n\n"
+        "## Joint moments of a walking trial against the file's Plug-in-Gait, N m\n\n"
         "One step of each foot on a plate; the right heel lands beside its plate. Plug-in-Gait took its own "
         "joint centres and masses from the same markers and plates: agreement, not truth. It writes moments "
         "along the distal segment's axes, we along those of the joint's angles: both are compared.\n\n"
         + table(*given_table(rows))
     )
     report.tables.append(
-        "### The same without plates: floor forces estimated from the motion alone\n\n"
+        "## The same without plates: floor forces estimated from the motion alone\n\n"
         + table(*_without_table(rows, without))
     )
     report.tables.append(
-        "### Floor forces estimated from the motion against the plates, N (weight 466 N)\n\n"
+        "## Floor forces estimated from the motion against the plates, N (weight 466 N)\n\n"
         "The right heel lands beside its plate, which measures too little of it at first.\n\n"
         + table(*_floor_rows(walk.measured, without))
     )
@@ -119,7 +119,7 @@ def _floor_rows(measured: Analysis, estimated: Analysis) -> tuple[list[str], lis
 
 def _add_stair(report: Report, stair: AnalysedTrial) -> None:
     report.tables.append(
-        "### Joint moments of a second trial: down a stair of four plates, N m (weight 834 N)\n\n"
+        "## Joint moments of a second trial: down a stair of four plates, N m (weight 834 N)\n\n"
         "Only the steps whose plates the file itself took into account. In this file the shanks are twisted "
         "against the thighs by up to 30°, so that it matters much about which axis a moment is told.\n\n"
         + table(*given_table(moment_rows(stair)))
@@ -128,7 +128,7 @@ def _add_stair(report: Report, stair: AnalysedTrial) -> None:
 
 def _add_timing(report: Report, rows: list[list[str]]) -> None:
     report.tables.append(
-        "### Do plates and motion go in step?\n\n"
+        "## Do plates and motion go in step?\n\n"
         "By how many milliseconds the plates' total force comes after the force that the centre of mass "
         "takes (in brackets what then is left between them, standard deviation in N, and what is left "
         "unshifted). Shifted clocks would shift all axes alike. They do not, in neither laboratory, and the "
@@ -167,7 +167,7 @@ def _add_peer(report: Report, peer: Peer) -> None:
         for angle, arm in peer.arms.items()
     ]
     report.tables.append(
-        "### Moment arms beside OpenSim's, over a stride\n\n"
+        "## Moment arms beside OpenSim's, over a stride\n\n"
         "The same wires over the same cylinders and balls, slid by either program's own rules.\n\n"
         + table(["angle", "muscles", "RMSE, mm", "worst, mm", "muscle"], arms)
     )
@@ -176,7 +176,7 @@ def _add_peer(report: Report, peer: Peer) -> None:
         for name, each in peer.muscles.items()
     ]
     report.tables.append(
-        "### OpenSim's static optimisation beside ours\n\n"
+        "## OpenSim's static optimisation beside ours\n\n"
         f"OpenSim {peer.version}, {peer.frames} frames of a whole left stride; the same body, motion, floor "
         "forces and wires as ideal pullers (no force-length curves in either), squared activity. Both "
         "minimise the same; in some frames OpenSim's optimiser stops above our value by more than 5 %, with "

@@ -65,7 +65,7 @@ def run() -> Report:
             )
         )
     heads = ["on", "workers", "seconds", "× real time", "load of the machine before"]
-    report.tables.append(f"### {SESSIONS} sessions of {SECONDS:g} s\n\n" + table(heads, rows))
+    report.tables.append(f"## {SESSIONS} sessions of {SECONDS:g} s\n\n" + table(heads, rows))
     return report
 
 

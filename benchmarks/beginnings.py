@@ -56,7 +56,7 @@ def run() -> Report:
                 report.figures.append(Figure(name, ratio, "", target, note))
     heads = ["trial", "part", "begins at", "VQF, °", "`joint`, °", "ratio"]
     report.tables.append(
-        "### Parts of `ring_chain5`: RMSE, degrees, mean of five segments\n\nScored from "
+        "## Parts of `ring_chain5`: RMSE, degrees, mean of five segments\n\nScored from "
         f"{SCORED_AFTER_S:g} s after a part's beginning on, so that most of it is how soon headings are "
         f"found. Shaken: white noise of {SHAKES:g} m/s² on every axis of every accelerometer. Half the rate: "
         "every other sample. Five heading and mounting angles are taken out as in the accuracy suite.\n\n"

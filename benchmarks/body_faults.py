@@ -77,7 +77,7 @@ def _worn_table(report: Report, suit: WornSuit) -> None:
         rows.append([case.name, *cells])
     head = ["case", "doubtful after, s of walking", "others suspected", "joint agreement", "reason given"]
     report.tables.append(
-        f"### Modules worn wrong: how soon it is told, in {WALKS} walks of {WORN_S:g} s\n\n"
+        f"## Modules worn wrong: how soon it is told, in {WALKS} walks of {WORN_S:g} s\n\n"
         "Why, and what is unseen: [walking](../explanation/walking.md#modules-worn-wrong-stuck-modules).\n\n"
         f"{table(head, rows)}"
     )
@@ -105,7 +105,7 @@ def _module_table(report: Report, suit: WornSuit, calm: Run) -> None:
     head = ["case", "status tells after, s", "joint agreement", "own worst, °", "over after, s"]
     head += ["neighbours' worst, °", "over after, s", "others' worst, °", "over after, s"]
     report.tables.append(
-        f"### A module fails: `joint` on the 7-module suit, walking; the module of the {VICTIM_SEGMENT}\n\n"
+        f"## A module fails: `joint` on the 7-module suit, walking; the module of the {VICTIM_SEGMENT}\n\n"
         "Excess over the run without fault. *Own*: of all whose module is faulty or worn wrong. "
         "*Joint agreement* (in `bridge/health`): 0 agrees with its neighbours, 1 has nothing to do with "
         f"them; without fault {calm.agreement.get(VICTIM_SEGMENT, np.nan):.2f}. "
@@ -140,7 +140,7 @@ def _ml_table(report: Report, suit: WornSuit, calm: Run) -> None:
     head = ["case", "status tells after, s", "mean sigma before, °", "at the end, °", "worst excess, °"]
     head += ["over after, s", "largest step after, °", "place off at the end, m", "step of place, m"]
     report.tables.append(
-        "### The local device falls silent: the same, position of the pelvis at 100 Hz\n\n"
+        "## The local device falls silent: the same, position of the pelvis at 100 Hz\n\n"
         "*Largest step after*: of any segment's tilt error from one frame to the next within 5 s after its "
         f"return; without fault {calm_step:.2f}°. The place stands still meanwhile and glides back.\n\n"
         + table([*head, "`measured` again after, s"], rows)

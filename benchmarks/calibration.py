@@ -60,7 +60,7 @@ def _add_tables(
         rows.append([str(heading), *cells, f"{100 * found['guided'][k][1].max():.2f}"])
     heads = ["facing °", *(f"{name} ° RMS" for name in names), "guided, worst place cm"]
     report.tables.append(
-        "### Simulated wearers: modules turned at random, 2 cm off their places, joints 1.5° off in poses\n\n"
+        "## Simulated wearers: modules turned at random, 2 cm off their places, joints 1.5° off in poses\n\n"
         + table(heads, rows)
     )
     segments = [
@@ -78,7 +78,7 @@ def _add_tables(
         for m, segment in enumerate(segments)
     ]
     heads = ["segment", *(f"{name} ° RMS" for name in names), "guided, place cm RMS", "worst cm"]
-    report.tables.append("### The same by segment, over eight headings\n\n" + table(heads, rows))
+    report.tables.append("## The same by segment, over eight headings\n\n" + table(heads, rows))
     what = "17 modules, eight headings, typical modules through the wire"
     for name, figure in (("guided", "guided"), ("guided, no magnetometer", "guided_no_field")):
         each = by_module[name]
@@ -126,7 +126,7 @@ def _add_recording(report: Report, trial: CalibratedTrial) -> None:
                 rows.append([joint.name, angle.name, f"{ours[i]:.2f}", f"{pose[i]:.2f}"])
                 all_ours.append(ours[i])
     heads = ["joint", "angle", "ours ° RMSE", "pose alone, facing east ° RMSE"]
-    report.tables.append(f"### {trial.name}: {trial.what}\n\n" + table(heads, rows))
+    report.tables.append(f"## {trial.name}: {trial.what}\n\n" + table(heads, rows))
     scores = ", ".join(f"{segment} {verdict}" for segment, verdict in trial.verdicts.items())
     report.tables.append(f"Scores: {scores}.")
     report.figures.append(

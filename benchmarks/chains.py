@@ -48,7 +48,7 @@ def run() -> Report:
     note = "`joint` smoothed over `joint` as it runs live, mean of the ratios"
     report.figures.append(Figure("smoothed_chains_mean_ratio", float(np.mean(smoothed)), "", "<1.0", note))
     report.tables.append(
-        "### Chains drawn at random: RMSE, degrees, mean of the segments\n\n"
+        "## Chains drawn at random: RMSE, degrees, mean of the segments\n\n"
         f"Orientation against the world, nothing aligned or taken out, from {SCORED_AFTER_S:g} s on; 30 s "
         "each. Parents: of the second segment and those that follow. rad/s: peak of any segment. Wrong "
         "beside noise, biases and scales: lever arms, and what is named; position devices sit up to some "

@@ -394,7 +394,7 @@ def _explained(timer: TriggerTimer, answers: TriggerAnswers) -> str:
     """What the table of errors was made from."""
     kept, missed = timer.figures, sum(answers.figures.missed.values())
     return (
-        "### Error of the common instant\n\n"
+        "## Error of the common instant\n\n"
         "17 modules at 100 Hz for an hour, the first minute left out; crystals to ±100 ppm, drifting by "
         "1 ppm/min up and down in turns of 10 min; delay 0.5 ms + exponential of mean 1 ms, 2 % lost. "
         "Error of a module's instants against the median module's. *limit*: Cramér–Rao bound with the rate "

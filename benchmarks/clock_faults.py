@@ -138,7 +138,7 @@ def recoveries() -> tuple[list[Figure], str]:
         )
         rows.append([title, f"{recovery_s:.2f}", f"{worst_us * 1e-3:.2f}"])
     text = (
-        "### Faults\n\n"
+        "## Faults\n\n"
         f"One module at {RATE_HZ:g} Hz, {SKEW_PPM:g} ppm, exponential delays of mean 1 ms; worst of {SEEDS} "
         "draws. *recovery*: from the first packet after the fault until every instant is within "
         f"{RIGHT_US:g} µs. *worst*: the largest error meanwhile of an instant that can reach a frame. A host "

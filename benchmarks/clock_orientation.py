@@ -183,7 +183,7 @@ def clocks_in_degrees() -> tuple[list[Figure], str]:
         note = f"joint rotations of a fast arm, RMSE due to clocks: {title}"
         figures.append(Figure(f"orientation_{name}_deg", due, "°", "", note))
     text = (
-        "### Orientation, through the whole pipeline\n\n"
+        "## Orientation, through the whole pipeline\n\n"
         f"An emulated arm of {len(parents)} modules, peaks of {PEAK_RATE:g} rad/s and "
         f"{PEAK_ACCELERATION:g} rad/s², ideal sensors at 100 Hz, crystals to ±100 ppm, "
         "0.5 ms + exponential of mean 1 ms; wire bytes → clocks → frames → `independent`. Rotations of the "

@@ -59,7 +59,7 @@ def riot_modules(path: Path) -> dict[str, FloatArray]:
 def recorded_clocks() -> tuple[list[Figure], str]:
     """Figures of both recordings and their table; nothing where the recordings are absent."""
     if not (DATA / "xio_lower_body7").is_dir() or not (DATA / "riot_idle2").is_dir():
-        return [], "### Recordings\n\nNot there when this was written."
+        return [], "## Recordings\n\nNot there when this was written."
     rows, errors, lost = [], [], 0
     for name, (counter, times_us) in xio_modules(DATA / "xio_lower_body7").items():
         fitted = _fitted_ppm(counter, times_us)
@@ -85,7 +85,7 @@ def recorded_clocks() -> tuple[list[Figure], str]:
         Figure("xio_lost_found", float(lost), "", "", "lost packets found by their counters; 126 are known"),
     ]  # fmt: skip
     text = (
-        "### Recordings\n\n"
+        "## Recordings\n\n"
         "Rate against nominal. `xio_lower_body7`: fitted to the real stamps; found from counters and "
         "jittered arrivals alone after 15 s. `riot_idle2` (bursts to 0.94 s, no stamps, no counters, so "
         "losses count as slowness): fitted is the straight line through the arrivals after the first "

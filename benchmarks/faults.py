@@ -114,7 +114,7 @@ def run() -> Report:
         ),
     ]
     heads = ["fault", "recovery, s", "at most, s", "lost, and to what", "unaccounted", "verdict"]
-    title = "### Every fault: from its end until poses are whole\n\n"
+    title = "## Every fault: from its end until poses are whole\n\n"
     report.tables = [title + table(heads, [_row(o) for o in everything])]
     return report
 

@@ -137,7 +137,7 @@ def _held_rate(report: Report) -> tuple[float, _Load]:
             break
     heads = ["Hz asked for", "load before", "Hz reached", "held", "lost", "median delay, ms"]
     heads += ["brokers, µs a pose", "light gateway, µs a pose", "a broker, MB"]
-    report.tables.append(f"### {GATEWAYS} light gateways, three brokers, one reader\n\n" + table(heads, rows))
+    report.tables.append(f"## {GATEWAYS} light gateways, three brokers, one reader\n\n" + table(heads, rows))
     report.figures.append(Figure("fleet_rate_held", best, "Hz", "", f"each of {GATEWAYS} gateways"))
     return best, load
 
@@ -207,7 +207,7 @@ def _failures(report: Report, rate_hz: float) -> None:
     ]
     note = f"{GATEWAYS} gateways at {rate_hz:g} Hz; load before {load:.1f}"
     report.tables.append(
-        f"### A node fails\n\n{note}. A reader whose own node dies misses what was on its way to it: it "
+        f"## A node fails\n\n{note}. A reader whose own node dies misses what was on its way to it: it "
         "comes by QoS 0, and its gateways know nothing of it.\n\n" + table(heads, rows)
     )
     total = sum(len(numbers) for numbers in heard.live.values())
@@ -347,7 +347,7 @@ def _arithmetic(report: Report, load: _Load) -> None:
         "connections",
     ]
     report.tables.append(
-        "### What more suits need\n\n"
+        "## What more suits need\n\n"
         f"poses/s = suits × {SUIT_HZ:g}; Mbit/s = poses/s × {SUIT_BYTES} B × 8 / 10⁶, and as much again for "
         "each reader of all; cores = poses/s × processor time of all brokers a pose as measured above "
         f"({load.broker_s * 1e6:.0f} µs, one reader); connections = suits × 4 (state, requests, poses, "

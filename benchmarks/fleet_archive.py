@@ -42,7 +42,7 @@ def run() -> Report:
             results.append(tuple(path.read_bytes() for path in sorted(archive.poses.rglob("*.parquet"))))
             rows.append([what, f"{seconds:.1f}", str(errors), str(killed)])
         heads = ["on Dask", "seconds", "recordings failed", "workers killed"]
-        report.tables.append(f"### {batch.SESSIONS} recordings solved again\n\n" + table(heads, rows))
+        report.tables.append(f"## {batch.SESSIONS} recordings solved again\n\n" + table(heads, rows))
         report.figures.append(
             Figure("fleet_solved_differing", len(set(results)) - 1.0, "results", "<=0", "bytes of all files")
         )

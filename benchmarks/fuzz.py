@@ -32,5 +32,5 @@ def run() -> Report:
         Figure("fuzz_coverage_percent", 100 * reached / lines, "%", note="lines of the watched functions"),
     ]
     heads = ["target", "reads", "minutes", "executions", "findings", "inputs that broke it", "lines reached"]
-    report.tables.append("### Fuzzing, by target\n\n" + table(heads, rows))
+    report.tables.append("## Fuzzing, by target\n\n" + table(heads, rows))
     return report

@@ -60,7 +60,7 @@ def run() -> Report:
                 report.figures.append(Figure(f"gap_{name.partition(',')[0]}_deg", typical[2], "°", "", note))
     heads = ["source", "gap, s", "gaps × modules", *(f"after {after:g} s" for after in AFTER_S)]
     report.tables = [
-        "### From the run without gaps, degrees: RMS / 95 %\n\nUp to 0.1 s a gap is bridged, beyond that the "
+        "## From the run without gaps, degrees: RMS / 95 %\n\nUp to 0.1 s a gap is bridged, beyond that the "
         "module settles for 3 s: see `gateway/reconstruction/inertial/module_filter.py`. Its constants were "
         "chosen on these sources.\n\n" + table(heads, rows)
     ]

@@ -55,7 +55,7 @@ def _add_broad(report: Report, folder: Path) -> None:
         print(f"skipped broad_gyrofree: no trials in {folder}")
         return
     report.tables.append(
-        "### BROAD: RMSE, degrees\n\nPosition as local device, gyroscopes hidden, movement phases only, "
+        "## BROAD: RMSE, degrees\n\nPosition as local device, gyroscopes hidden, movement phases only, "
         "nothing aligned. `gyro_free` is causal, or late by `reconstructor_delay_ms`; "
         "`per sample, unaided`: accelerometer and magnetometer alone "
         "(TRIAD).\n\n" + table(["trial", "method", "total", "tilt"], rows)

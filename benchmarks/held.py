@@ -123,7 +123,7 @@ def run() -> Report:
                 report.figures.append(Figure(f"held_live_{method}_{n}_hz", held, "Hz", wanted, note))
     heads = ["method", "modules", "rate, Hz", "samples/s", "poses/s", "core, %", "worst lag, ms", "gave way"]
     report.tables = [
-        f"### Every load\n\nEach for {SECONDS:g} s; the best of up to {TRIES} tries.\n\n{table(heads, rows)}"
+        f"## Every load\n\nEach for {SECONDS:g} s; the best of up to {TRIES} tries.\n\n{table(heads, rows)}"
     ]
     return report
 

@@ -126,4 +126,4 @@ def _table(trial: JointTrial, errors: FloatArray, what: str) -> str:
                 low, high = np.degrees([np.nanmin(seen[:, i]), np.nanmax(seen[:, i])])
                 rows.append([joint.name, angle.name, f"{low:.0f} to {high:.0f}", f"{error[i]:.2f}"])
     heads = ["joint", "angle", "range of the reference °", "RMSE °"]
-    return f"### {trial.name}: {what}\n\n" + table(heads, rows)
+    return f"## {trial.name}: {what}\n\n" + table(heads, rows)

@@ -192,7 +192,7 @@ def _table(runs: list[Run]) -> str:
     ]
     heads = ["modules", "Hz", "CPU %", "messages/s", "p50 ms", "p99 ms", "max ms"]
     heads += ["memory MB", "poses lost", "held"]
-    return f"### Load on one gateway process (reconstructor `{METHOD}`)\n\n" + table(heads, rows)
+    return f"## Load on one gateway process (reconstructor `{METHOD}`)\n\n" + table(heads, rows)
 
 
 def _floor_table(gateways: list[Run], floors: list[Run]) -> str:
@@ -207,7 +207,7 @@ def _floor_table(gateways: list[Run], floors: list[Run]) -> str:
         for program, r in programs
     ]
     heads = ["program", "CPU %", "p50 ms", "p99 ms", "max ms", "wake-ups/s", "loop turns/s", "poses lost"]
-    return f"""### Beside the floor, 17 × 100 Hz, in turn
+    return f"""## Beside the floor, 17 × 100 Hz, in turn
 
 The floor (`benchmarks/floor_program.py`) reads the same port and publishes payloads of the same size on the
 same topic through the same client library, as often; it decodes nothing.

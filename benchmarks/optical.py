@@ -53,7 +53,7 @@ def run() -> Report:
     report = Report("optical")
     figures, rows = simulated_rows()
     report.figures += figures
-    report.tables.append("### Simulated truth: RMSE of joint angles, degrees\n\n" + table(*rows))
+    report.tables.append("## Simulated truth: RMSE of joint angles, degrees\n\n" + table(*rows))
     compared: list[list[str]] = []
     agreement = Agreement()
     beside = OpenSimBeside()
@@ -78,7 +78,7 @@ def run() -> Report:
             if is_plug_in_gait:
                 agreement.add(name, method, skeleton, outcome.q_wb, outcome.p_w, held)
     report.tables += [
-        "### Held-out frames: distance of markers and body, RMSE in mm\n\n"
+        "## Held-out frames: distance of markers and body, RMSE in mm\n\n"
         "Left-out markers are not shown to the pose and looked for where the body, fitted with them to other "
         "frames, has them. *Held*: of segments that carry two others; *unheld*: of all others, where joints "
         "and what they are allowed must tell. *Published* is timed in one pass over the trial; the command "

@@ -92,9 +92,9 @@ class Agreement:
             for key, cells in self._angles.items()
         ]
         return [
-            "### Joint centres against the file's Plug-in-Gait, RMSE in mm\n\n"
+            "## Joint centres against the file's Plug-in-Gait, RMSE in mm\n\n"
             + table(["trial", "method", *CENTRES], self._centres),
-            "### Joint angles against the file's Plug-in-Gait, degrees: RMSE / without its mean\n\n"
+            "## Joint angles against the file's Plug-in-Gait, degrees: RMSE / without its mean\n\n"
             + table(["trial", "joint", "angle", *self._methods], angle_rows),
         ]
 

@@ -54,7 +54,7 @@ class OpenSimBeside:
 
     def text(self) -> str:
         """The table with its title."""
-        title = "### OpenSim's inverse kinematics on the same body and held-out frames\n\n"
+        title = "## OpenSim's inverse kinematics on the same body and held-out frames\n\n"
         if not self._rows:
             return f"{title}Skipped: {self._why or 'no trial is here'}."
         heads = ["trial", "markers mm, ours", "OpenSim", "ms a frame, ours", "OpenSim"]

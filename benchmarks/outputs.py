@@ -137,7 +137,7 @@ def _table(costs: list[Cost]) -> str:
         for cost in costs
     ]
     heads = ["output", "segments", "bytes a pose", "CPU µs a pose", "CPU % at 100 Hz", "poses/s in a row"]
-    return "### Cost of outputs (one receiver: the broker, or nobody)\n\n" + table(heads, rows)
+    return "## Cost of outputs (one receiver: the broker, or nobody)\n\n" + table(heads, rows)
 
 
 async def _costs(port: int) -> list[Cost]:

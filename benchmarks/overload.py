@@ -139,7 +139,7 @@ def run() -> Report:
         "samples lost",
     ]
     text = (
-        "### What gives way\n\nMethod `independent`, one core. Work: processor seconds for a second of "
+        "## What gives way\n\nMethod `independent`, one core. Work: processor seconds for a second of "
         "samples, with nothing given up; beyond 1 a core cannot hold it. Given up: the stage that holds "
         f"after {LONG_SECONDS:g} s, with all before it, of: {', '.join(stage.name for stage in SHED[1:])}."
     )

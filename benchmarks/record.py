@@ -112,7 +112,7 @@ def run(seconds: float = SECONDS, kills: int = KILLS) -> Report:
         for method, e in emulated.items()
     ]
     heads = ["method", "replayed twice identically", "MB a minute", "raw bytes, MB a minute"]
-    report.tables = [f"### Emulated suit, {REPLAYED_S:g} s with loss and jitter\n\n" + table(heads, rows)]
+    report.tables = [f"## Emulated suit, {REPLAYED_S:g} s with loss and jitter\n\n" + table(heads, rows)]
     return report
 
 

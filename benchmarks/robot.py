@@ -71,7 +71,7 @@ def figures() -> tuple[list[Figure], list[str]]:
         Figure("robot_error_deg", worst, "°", "", what),
         Figure("robot_violations", violations, "", "<=0", "angles beyond limits, and turns above rates"),
         Figure("robot_ms", float(np.median(ms)), "ms", "<=2", "processor time of one pose on 32 joints"),
-    ], ["### iCub follows recorded people\n\n" + table(heads, rows)]
+    ], ["## iCub follows recorded people\n\n" + table(heads, rows)]
 
 
 def _recordings() -> Iterator[Recording]:

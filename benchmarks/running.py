@@ -161,7 +161,7 @@ def run() -> Report:
         "poses in each second after",
         "load stages",
     ]
-    text = f"### Stopped for {STOPPED_S:g} s by a signal; `{METHOD}`, 17 modules, {RATE_HZ:g} Hz"
+    text = f"## Stopped for {STOPPED_S:g} s by a signal; `{METHOD}`, 17 modules, {RATE_HZ:g} Hz"
     report.tables.append(f"{text}\n\n{table(heads, rows)}")
     asyncio.run(_flooded(report))
     loads = f"{load:.1f} before, {os.getloadavg()[0]:.1f} after"
@@ -263,6 +263,6 @@ async def _flooded(report: Report) -> None:
     seconds = range(int(FLOODED_S + CALM_AFTER_S))
     counts = [str(len(heard.between(begin_s + k, begin_s + k + 1))) for k in seconds]
     stages = [str(stage) for stage in heard.stages(begin_s)]
-    text = f"### Flooded with {FLOOD_HZ} datagrams a second for {FLOODED_S:g} s, then let alone; `{METHOD}`"
+    text = f"## Flooded with {FLOOD_HZ} datagrams a second for {FLOODED_S:g} s, then let alone; `{METHOD}`"
     rows = [["poses", " ".join(counts)], ["load stage", " ".join(stages)]]
     report.tables.append(f"{text}\n\n{table(['in each second', 'from its beginning on'], rows)}")

@@ -50,7 +50,7 @@ def run() -> Report:
         report.figures.append(Figure(f"{source}_field_spread_after_percent", float(after), "%", "", note))
     heads = ["recording", "module", "directions seen %", "before %", "after %", "quality", "why"]
     report.tables.append(
-        "### Spread of the field's norm (standard deviation over mean), on seconds not used for the fit\n\n"
+        "## Spread of the field's norm (standard deviation over mean), on seconds not used for the fit\n\n"
         + table(heads, rows)
     )
     return report

@@ -284,7 +284,7 @@ def run() -> Report:
 def _faults_table(found: dict[str, Any]) -> str:
     rows = [[kind, str(count)] for kind, count in found["faults"].items()]
     rows += [["broker killed", str(found["broker_kills"])]]
-    return "### What befell it\n\n" + table(
+    return "## What befell it\n\n" + table(
         ["fault", "transmissions (noise: bytes; modules, broker: times)"], rows
     )
 
@@ -304,7 +304,7 @@ def _compared_table(found: dict[str, Any]) -> str:
         [f"≥ {row['intact_s']:g}", str(row["count"]), *(f"{row[key]:.2f}" for key in keys)]
         for row in found["compared"]
     ]
-    title = "### Against a fault-free run, by how long a segment's inputs were intact"
+    title = "## Against a fault-free run, by how long a segment's inputs were intact"
     return f"{title}\n\nIn {found['compared_in']}.\n\n{table(heads, rows)}"
 
 
@@ -318,7 +318,7 @@ def _balances_table(found: dict[str, Any]) -> str:
         ]
         for name, b in found["accounting"].items()
     ]
-    return "### Where everything went\n\n" + table(
+    return "## Where everything went\n\n" + table(
         ["balance", "total", "what became of it", "unaccounted"], rows
     )
 

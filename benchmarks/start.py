@@ -198,7 +198,7 @@ def _commands(report: Report, copy: Copy) -> Iterator[Figure]:
         [f"`{name}`", f"{seconds[name]:.2f}"]
         for name in sorted(seconds, key=seconds.__getitem__, reverse=True)
     ]
-    report.tables.append(f"### Commands that solve nothing\n\n{table(['command', 's'], rows)}")
+    report.tables.append(f"## Commands that solve nothing\n\n{table(['command', 's'], rows)}")
 
 
 def _fixed_target(copy: Copy) -> Iterator[Figure]:

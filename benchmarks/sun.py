@@ -83,7 +83,7 @@ def run() -> Report:
         "turned away",
     ]
     report.tables.append(
-        f"### Robot arm of 4 links, 100 Hz, June at 47.4° N, 9 o'clock; RMS; draws: {len(SEEDS)}\n\n"
+        f"## Robot arm of 4 links, 100 Hz, June at 47.4° N, 9 o'clock; RMS; draws: {len(SEEDS)}\n\n"
         f"*Meanwhile*: of the module concerned, {FROM_S:g} s to {TO_S:g} s.\n\n" + table(heads, rows)
     )
     clear, magnetic = figures["sun", "clear", "joint"], figures["magnetometer", "undisturbed", "joint"]

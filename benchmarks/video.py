@@ -37,7 +37,7 @@ def run() -> Report:
     report = Report("video")
     figures, rows = truth_rows()
     report.figures += figures
-    report.tables.append("### Known truth: joints of rendered people, errors in mm\n\n" + table(*rows))
+    report.tables.append("## Known truth: joints of rendered people, errors in mm\n\n" + table(*rows))
     if not DATA.is_dir():
         print(f"{DATA.name} is not there: known truth only")
         return report
@@ -49,7 +49,7 @@ def run() -> Report:
             continue
         rows_of = _points(seen)
         report.tables.append(
-            f"### `pose2sim_single`, BlazePose {network}: 12 limb joints against the reference, mm\n\n"
+            f"## `pose2sim_single`, BlazePose {network}: 12 limb joints against the reference, mm\n\n"
             + table(_HEADS, [[name, *_row(limbs)] for name, limbs in rows_of.items()])
         )
         report.figures += _timing(network, seen)
@@ -57,7 +57,7 @@ def run() -> Report:
             report.figures += [*_figures(rows_of), _in_step(seen)]
             smoothed = list(rows_of.values())[2]
             report.tables.append(
-                f"### The same by joint, smoothed, mm\n\n{table(_BY_JOINT, by_joint(smoothed, _reference()))}"
+                f"## The same by joint, smoothed, mm\n\n{table(_BY_JOINT, by_joint(smoothed, _reference()))}"
             )
     return report
 

@@ -63,7 +63,7 @@ def _add_emulated(report: Report, rows: list[list[str]], walked: dict[tuple[str,
         "root switches", "largest orientation step at a switch °",
     ]  # fmt: skip
     report.tables.append(
-        "### Emulated person, 17 consumer sensors, lever arms 1 cm off, no local device, 100 Hz\n\n"
+        "## Emulated person, 17 consumer sensors, lever arms 1 cm off, no local device, 100 Hz\n\n"
         f"Counted from {WALK_FROM_S:g} s on. The end error holds the heading's error, the length error does "
         "not. Its feet stand still in the world; its bones are as long as the rig says."
         "\n\n" + table(heads, rows)
@@ -106,7 +106,7 @@ def _add_feet(report: Report) -> None:
         for key, r in results.items()
     ]
     report.tables.append(
-        "### Real feet (20 m there and back, optical markers on toe, ball and heel)\n\n"
+        "## Real feet (20 m there and back, optical markers on toe, ball and heel)\n\n"
         "A foot is truly at rest while all three markers move slower than 0.2 m/s. Strides from one stance "
         "to the next without magnetometer, by zero-velocity updates, against theirs."
         "\n\n" + table(["foot", "method", *FootResult.heads()], rows)

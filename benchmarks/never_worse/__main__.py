@@ -71,7 +71,7 @@ def diagnose(case: Case) -> None:
             for s, segment in enumerate(case.suit.skeleton.segment_names):
                 rows.append([name, segment, *(_mean_of(off[part, s], word) for part in parts)])
         means = "signed mean" if word == "Heading" else "RMS"
-        print(f"### {word} error, degrees ({means})", table(heads, rows), sep="\n\n", end="\n\n")
+        print(f"## {word} error, degrees ({means})", table(heads, rows), sep="\n\n", end="\n\n")
 
 
 def _mean_of(values: FloatArray, word: str) -> str:

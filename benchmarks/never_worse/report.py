@@ -32,7 +32,7 @@ def report(found: list[Judged]) -> Report:
     notes = "; ".join(peers.skipped())
     versions = ", ".join(f"{name} {version}" for name, version in peers.versions().items())
     result.tables.append(
-        "### Every recording: RMSE, degrees, total / tilt, mean of the segments\n\n"
+        "## Every recording: RMSE, degrees, total / tilt, mean of the segments\n\n"
         "One heading and one misalignment a segment are taken out. Errors count from 5 s after the beginning "
         "on, and from 3 s after the motion begins. VQF: the better of 6- and 9-axis; ½ later: its "
         "orientations taken half a sample later, since it runs half a sample ahead. Others: the best of "
@@ -44,7 +44,7 @@ def report(found: list[Judged]) -> Report:
         + _by_recording(found)
     )
     result.tables.append(
-        "### Honesty, by kind of recording\n\n"
+        "## Honesty, by kind of recording\n\n"
         "% in 2σ: errors within twice the root of the live covariance's trace, and smoothed within twice "
         "`sigma`. % in ellipsoid: errors within the ellipsoid of the live covariance that is to hold 95 % of "
         "them. NEES: normalised estimation error squared, 1 is honest, above claims too much; by segment and "

@@ -146,7 +146,7 @@ async def test_one_broker_that_was_away_gets_poses_late_on_a_topic_of_their_own(
 
     @contextlib.asynccontextmanager
     async def when_allowed(*named: Any, **options: Any) -> AsyncIterator[aiomqtt.Client]:
-        """The gateway's connection, which waits for the reader: who comes later hears of no late pose."""
+        """The gateway's connection, which waits for the reader: who comes later gets no late pose."""
         await may_connect.wait()
         async with broker_connection(*named, **options) as client:
             yield client
