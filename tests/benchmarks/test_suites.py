@@ -31,7 +31,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "SURROUNDINGS": (),
         "PROCESS_FAULTS": (),
     },
-    "damage": {"MESSAGES": 600},
+    "damage": {"DAMAGED": 300},
     "gaps": {"GAPS_S": (1.0,), "WALK_S": 50.0},
     "held": {"METHODS": ("independent",), "MODULES": (17,), "RATES_HZ": (100,), "SECONDS": 4.0, "TRIES": 1},
     "joints": {"SECONDS": 12.0},
