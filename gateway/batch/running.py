@@ -134,7 +134,7 @@ def _end(processes: Sequence[BaseProcess], jobs: Sequence[Job]) -> None:
 
 
 def _on_dask(jobs: Sequence[Job], done: Callable[[Job, Outcome], None], address: str) -> None:
-    with _client(address) as client:
+    with connected_client(address) as client:
         executor = client.get_executor(pure=False, retries=1)
         futures = {executor.submit(perform, job): job for job in jobs}
         for future in as_completed(futures):
@@ -146,14 +146,15 @@ def _on_dask(jobs: Sequence[Job], done: Callable[[Job, Outcome], None], address:
             done(job, outcome)
 
 
-def _client(address: str) -> Any:
+def connected_client(address: str, timeout_s: float = _CONNECT_S) -> Any:
+    """Return a client of a Dask scheduler that has a worker. Raises ``GatewayError``."""
     try:
         from distributed import Client  # noqa: PLC0415 - an extra
     except ImportError:
         raise GatewayError(f"a Dask cluster needs the extra 'dask': {how_to_add('dask')}") from None
     try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
-        client.wait_for_workers(1, timeout=_CONNECT_S)
+        client = Client(address, timeout=timeout_s, set_as_default=False)  # type: ignore[no-untyped-call]
+        client.wait_for_workers(1, timeout=timeout_s)
     except (OSError, TimeoutError, ValueError) as error:
         raise GatewayError(
             f"no Dask scheduler with a worker at {address} ({type(error).__name__}): start `dask scheduler` "

@@ -35,6 +35,7 @@ from gateway.body.joint_angles import joint_angles
 from gateway.errors import GatewayError
 from gateway.recording import Recording
 from gateway.recording.arrays import SkeletonArrays, arrays_of
+from gateway.support.whole_files import replacing
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -128,12 +129,8 @@ class Archive:
         told = json.dumps({**provenance, "software": gateway.__version__}, sort_keys=True)
         table = pa.table(dict(columns)).replace_schema_metadata({PROVENANCE: told.encode()})
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
+        with replacing(path) as partial:
             parquet().write_table(table, partial, compression="zstd")
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
 
     def add(self, recording: Recording, source: Path, site: str, wearer: str) -> tuple[Path, int]:
         """Take in a finished recording: its bytes, and the poses that it holds, if any.
@@ -147,9 +144,8 @@ class Archive:
         kept = self.recordings.joinpath(*_folders(site, day, who)) / f"{digest[:_DIGITS]}.mcap"
         if not kept.exists():
             kept.parent.mkdir(parents=True, exist_ok=True)
-            partial = kept.with_name(f".{kept.name}.{os.getpid()}")
-            shutil.copyfile(source, partial)
-            partial.replace(kept)
+            with replacing(kept) as partial:
+                shutil.copyfile(source, partial)
         method = recording.meta.settings.reconstructor
         part = self.part(Partition(method, site, day, who), digest[:_DIGITS])
         if part.exists():
@@ -185,7 +181,6 @@ class Archive:
 
         entries = list(self.entries())
         target = self.folder / "catalogue.parquet"
-        partial = target.with_name(f".{target.name}.{os.getpid()}")
         names = (
             "file",
             "method",
@@ -200,8 +195,8 @@ class Archive:
         )
         types = [pa.int64() if name in ("rows", "bytes") else pa.string() for name in names]
         schema = pa.schema(list(zip(names, types, strict=True)))
-        parquet().write_table(pa.Table.from_pylist(entries, schema), partial)
-        partial.replace(target)
+        with replacing(target) as partial:
+            parquet().write_table(pa.Table.from_pylist(entries, schema), partial)
         return len(entries)
 
     def forget(self, wearer: str) -> tuple[int, int]:
@@ -210,24 +205,13 @@ class Archive:
         The second is 0, unless a file that belongs to somebody else holds the name or the pseudonym.
         """
         who = self.pseudonym(wearer)
-        files = 0
-        for folder in sorted(self.folder.rglob(f"wearer={who}")):
-            files += sum(path.is_file() for path in folder.rglob("*"))
-            shutil.rmtree(folder)
-        self._remove_empty_folders()
-        self.renew_catalogue()
+        files = self._delete(list(self.folder.rglob(f"wearer={who}")))
         return files, sum(1 for _ in self.traces(wearer))
 
     def expire(self, before: str) -> int:
         """Delete all of the days before one (YYYY-MM-DD). Returns how many files."""
-        files = 0
-        for folder in sorted(self.folder.rglob("day=*")):
-            if folder.name.removeprefix("day=") < before:
-                files += sum(path.is_file() for path in folder.rglob("*"))
-                shutil.rmtree(folder)
-        self._remove_empty_folders()
-        self.renew_catalogue()
-        return files
+        days = self.folder.rglob("day=*")
+        return self._delete([day for day in days if day.name.removeprefix("day=") < before])
 
     def traces(self, wearer: str) -> Iterator[Path]:
         """Yield every file of the archive whose path or bytes hold the name of a wearer, or the pseudonym."""
@@ -238,6 +222,16 @@ class Archive:
             name, content = str(path.relative_to(self.folder)).encode(), path.read_bytes()
             if any(text in name or text in content for text in sought):
                 yield path
+
+    def _delete(self, folders: Sequence[Path]) -> int:
+        """Delete folders, and those that are empty then. Returns how many files were in them."""
+        files = 0
+        for folder in folders:
+            files += sum(path.is_file() for path in folder.rglob("*"))
+            shutil.rmtree(folder)
+        self._remove_empty_folders()
+        self.renew_catalogue()
+        return files
 
     def _remove_empty_folders(self) -> None:
         for folder in sorted((path for path in self.folder.rglob("*") if path.is_dir()), reverse=True):

@@ -14,6 +14,7 @@ from typing import Any
 import gateway
 from devices.extras import how_to_add
 from devices.link import LinkError
+from gateway.batch.running import connected_client
 from gateway.errors import GatewayError
 from gateway.fleet.archive import PROVENANCE, Archive, ArchiveError, Partition, columns_of, digest_of, parquet
 from gateway.recording import open_recording
@@ -123,12 +124,5 @@ def _client(workers: int, address: str | None) -> Iterator[Any]:
         ):
             yield client
         return
-    try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
-        client.wait_for_workers(1, timeout=_CONNECT_S)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise GatewayError(
-            f"no Dask scheduler with a worker at {address} ({type(error).__name__})"
-        ) from error
-    with client:
+    with connected_client(address, _CONNECT_S) as client:
         yield client

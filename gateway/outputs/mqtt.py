@@ -12,7 +12,7 @@ import contextlib
 import logging
 import secrets
 import time
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Iterator, Mapping
 from types import TracebackType
 from typing import Any, Self
 
@@ -59,7 +59,7 @@ from gateway.outputs.output import Thinning
 from gateway.outputs.own_topics import PublishRights, TwinWatch
 from gateway.outputs.pose_encoding import Outgoing, PosePublications
 from gateway.outputs.queues import PoseQueue, RetainedMessages
-from gateway.outputs.settings import LateSettings, MqttSettings
+from gateway.outputs.settings import MqttSettings
 
 logger = logging.getLogger(__name__)
 
@@ -400,14 +400,19 @@ class MqttOutput:
 
     async def _publish_poses_alone(self, client: aiomqtt.Client) -> None:
         self._note_connection()
-        direct = DirectPublisher(client, has_properties=self._settings.spoken_protocol == "5")
-        self._direct = direct
-        try:
+        with self._handing_over(client) as direct:
+            self._direct = direct
             while not self._stopping.is_set():
                 self._wake.clear()
                 await self._publish_queue(client, direct)
                 await self._wake.wait()
             await self._publish_queue(client, direct)
+
+    @contextlib.contextmanager
+    def _handing_over(self, client: aiomqtt.Client) -> Iterator[DirectPublisher]:
+        """Give what hands poses to a connection; one that is on its way at the end is counted as dropped."""
+        try:
+            yield DirectPublisher(client, has_properties=self._settings.spoken_protocol == "5")
         finally:
             self._direct = None
             self._dropped += self._in_hand
@@ -453,8 +458,8 @@ class MqttOutput:
     def _watch(self, client: aiomqtt.Client) -> list[Coroutine[Any, Any, None]]:
         """Return what goes on beside publishing where a silent broker is to be noticed soon."""
         parts: list[Coroutine[Any, Any, None]] = []
-        if self._late is not None:
-            parts.append(self._send_late(client, self._late, self._settings.late))
+        if self._late is not None and self._settings.late is not None:
+            parts.append(self._send_late(client, self._late, self._settings.late.rate))
             if self._poses is None:
                 parts.append(keep_asking(client, self._settings.answer_within, self._late.confirmed))
         return parts
@@ -467,9 +472,8 @@ class MqttOutput:
         while self._queue:
             self._keep_late(self._queue.take(), self._late)
 
-    async def _send_late(self, client: aiomqtt.Client, late: LatePoses, wanted: LateSettings | None) -> None:
-        """Publish what was kept, at its own rate beside the live poses, for as long as there is a broker."""
-        assert wanted is not None
+    async def _send_late(self, client: aiomqtt.Client, late: LatePoses, rate: float) -> None:
+        """Publish what was kept beside the live poses, ``rate`` a second, as long as there is a broker."""
         while True:
             poses = (
                 late.next(_LATE_TOGETHER, gateway_time_ns()) if self.is_connected and late.has_some else []
@@ -481,7 +485,7 @@ class MqttOutput:
                 )
                 await asyncio.gather(*publishing)
                 late.done(len(poses))
-            await asyncio.sleep(_LATE_TOGETHER / wanted.rate)
+            await asyncio.sleep(_LATE_TOGETHER / rate)
 
     async def _watch_own_topics(self, client: aiomqtt.Client) -> None:
         """Subscribe to what tells of another gateway of our name.
@@ -537,13 +541,9 @@ class MqttOutput:
             await self._serve_beside_poses(client)
             return
         await self._announce(client)
-        direct = DirectPublisher(client, has_properties=self._settings.spoken_protocol == "5")
-        try:
+        with self._handing_over(client) as direct:
             await first_to_end(self._retained.publish_for_ever(client), self._publish_poses(client, direct))
             await self._farewell(client, direct)
-        finally:
-            self._dropped += self._in_hand
-            self._in_hand = 0
 
     async def _serve_beside_poses(self, client: aiomqtt.Client) -> None:
         """Announce the gateway and tell how it fares, until stopped; poses have connections of their own."""

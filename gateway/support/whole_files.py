@@ -25,18 +25,28 @@ def write_whole(path: Path, content: bytes) -> None:
 
     Raises ``OSError``, such as for a full disk; then all is as it was before.
     """
+    with replacing(path) as made:
+        made.write_bytes(content)
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give an empty file to write, which takes the place of ``path`` in the end; after an error it is gone,
+    and all is as it was before."""
     path = path.resolve()  # what a link stands for is replaced, not the link
     mode = path.stat().st_mode if path.exists() else 0o666 & ~_umask()
-    descriptor, made = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    made = Path(name)
     try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(made, mode & 0o7777)
-        Path(made).replace(path)
+        try:
+            yield made
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+        made.chmod(mode & 0o7777)
+        made.replace(path)
     except BaseException:
-        Path(made).unlink(missing_ok=True)
+        made.unlink(missing_ok=True)
         raise
 
 
