@@ -129,11 +129,11 @@ class _NothingFound:
         self._n = n_segments
 
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
-        """Every segment is missing."""
+        """Return a frame in which every segment is missing."""
         return whole_body.no_pose(self._n)
 
     def reset(self) -> None:
-        """No-op: the reconstructor is stateless."""
+        """Do nothing: the reconstructor is stateless."""
 
 
 def main(step: str) -> None:

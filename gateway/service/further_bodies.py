@@ -96,14 +96,14 @@ class HandedLink:
         return self._waiting.empty()
 
     async def open(self) -> None:
-        """Nothing: the other service has opened it."""
+        """Do nothing: the first person's service has opened the link."""
 
     async def __aiter__(self) -> AsyncIterator[Chunk]:
         while True:
             yield await self._waiting.get()
 
     async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
-        """Nothing: an optical system takes no commands."""
+        """Discard the bytes: an optical system takes no commands."""
 
     async def close(self) -> None:
-        """Nothing: the other service closes it."""
+        """Do nothing: the first person's service closes the link."""

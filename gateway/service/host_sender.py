@@ -24,9 +24,10 @@ class HostSender:
         clock_ns: Callable[[], int] = gateway_time_ns,
         senders: Callable[[str], Sequence[str]] = lambda _link: (),
     ) -> None:
-        """
-        note: told of everything that was sent, at once, in order.
-        senders: who is to be written to on a link with several senders; see ``Stream.senders``.
+        """Prepare to write frames.
+
+        note: called with everything that was sent, at once and in order.
+        senders: returns who is to be written to on a link with several senders; see ``Stream.senders``.
         """
         self._note = note
         self._senders = senders

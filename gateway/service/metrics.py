@@ -85,6 +85,7 @@ class _Figures(Collector):
         self._figures = figures
 
     def collect(self) -> Iterable[Metric]:
+        """Yield every metric family, read at this instant; called by the Prometheus library."""
         figures = self._figures
         yield from _gateway(figures)
         yield from _links(figures.links)

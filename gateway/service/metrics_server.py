@@ -113,7 +113,9 @@ class MetricsServer:
         return content_type, encode(registry_of(self._ask(self._figures)))
 
     def health(self) -> dict[str, Any]:
-        """As the event loop has it. Raises ``NoAnswer``."""
+        """Return the health message, computed on the event loop. Raises ``NoAnswer`` if the loop does not
+        answer.
+        """
         return self._ask(self._health)
 
     def _ask(self, question: Callable[[], _Value]) -> _Value:
@@ -156,7 +158,9 @@ class _Server(ThreadingHTTPServer):
             self.crowd.leave(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Of a client that has gone; a method name of the standard library's."""
+        """Log at debug level that a client has gone, in place of the traceback which the standard library
+        prints.
+        """
         log.debug("a client of the metrics went", exc_info=True)
 
 
@@ -183,6 +187,7 @@ class _Head:
         return line
 
     def close(self) -> None:
+        """Close the connection to the event loop's side."""
         self._connection.close()
 
 
@@ -225,7 +230,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer_json(HTTPStatus.SERVICE_UNAVAILABLE, stuck)
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - the library's name
-        """A line of the log for every request, but for those who debug."""
+        """Log a request at debug level only: a scraper asks every few seconds."""
         log.debug(format, *args)
 
     @property

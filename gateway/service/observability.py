@@ -48,7 +48,12 @@ class Observer:
         balances: Callable[[], list[Balance]] = list,
         load: LoadWatch | None = None,
     ) -> None:
-        """utc_ns: the host's UTC, ns; balances: where everything went; load: whether it keeps up."""
+        """Watch the parts of a running gateway.
+
+        utc_ns: reads the host's UTC, ns.
+        balances: returns where every sample, pose and chunk went.
+        load: whether the machine keeps up; None: a watch that observes nothing.
+        """
         self._load = load or LoadWatch()
         self.utc: UtcAnchor | None = None
         self.metrics: MetricsServer | None = None
@@ -93,7 +98,7 @@ class Observer:
                     self._mqtt.keep(topic, message)
 
     def look(self) -> None:
-        """Once: what is new goes to the broker."""
+        """Read clocks and counters once, and publish every message that is due."""
         self._read_utc()
         self._check_balances()
         for topic, message in self._states.look(gateway_time_ns()):
@@ -127,10 +132,12 @@ class Observer:
         )
 
     def health(self) -> dict[str, Any]:
-        """For the health check: ``ok``, or ``degraded`` while poses cannot flow from end to end."""
+        """Return the health check: ``ok``, or ``degraded`` while poses cannot flow from end to end."""
         figures = self.figures()
         down = [link.name for link in figures.links if not link.is_up]
         silent = [module.module for module in figures.modules if module.availability == "offline"]
+        # A suit with one silent module still gives poses; only a link that is down, or silence of all, stops
+        # them.
         is_fed = not down and len(silent) < len(figures.modules)
         is_taken = all(figures.connected.values()) and self._mqtt.rights.state != "refused"
         is_ok = is_fed and is_taken and self._mqtt.twin is None and not self._load.stage
@@ -157,7 +164,9 @@ class Observer:
                 log.exception("the gateway could not be looked at")
 
     def _check_balances(self) -> None:
-        """A balance that is not even is a defect of ours: said once, and again when it grows."""
+        """Log a balance that does not add up, which is a defect of the gateway: once, and again when it
+        grows.
+        """
         left_over = unaccounted(self._balances())
         if left_over != self._left_over:
             log.error("not accounted for: %s; please report this with the recording", left_over)
@@ -182,7 +191,10 @@ class Observer:
 
 
 def read_both(utc_ns: Clock) -> tuple[int, int]:
-    """(gateway time, UTC) at one moment, ns: the reading that took the least time of a few."""
+    """Return (gateway time, UTC) of one moment, ns.
+
+    Of several readings the one that took the least time is kept: its midpoint is the least uncertain.
+    """
     readings = []
     for _ in range(_READS):
         before_ns, utc, after_ns = gateway_time_ns(), utc_ns(), gateway_time_ns()
@@ -192,5 +204,5 @@ def read_both(utc_ns: Clock) -> tuple[int, int]:
 
 
 def _is_up(link: Link, *, has_begun: bool) -> bool:
-    """Links that are not kept open by anybody are up from their first chunk on."""
+    """Return whether a link is up; a link without reconnection counts as up from its first chunk on."""
     return link.state is LinkState.UP if isinstance(link, ReconnectingLink) else has_begun

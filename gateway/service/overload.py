@@ -78,7 +78,7 @@ class LoadWatch:
         self._lasts = False  # what was given back in one had to be taken again
 
     def observe(self, link: str, lag_s: float, now_s: float) -> bool:
-        """A chunk was handled that had arrived so long ago. Whether the stage has changed."""
+        """Note how old a chunk was when it was handled, s; return whether the stage has changed."""
         self._least_s[link] = min(self._least_s.get(link, math.inf), lag_s)
         self.worst_s = max(self.worst_s, lag_s)
         return self.look(now_s)
@@ -99,7 +99,7 @@ class LoadWatch:
         return SHED[self.stage]
 
     def statistics(self) -> Mapping[str, object]:
-        """For the health message."""
+        """Return stage, what is shed, and how far the gateway is behind, for the health message."""
         return {
             "stage": self.stage,
             "shed": [stage.name for stage in SHED[1 : self.stage + 1]],

@@ -30,7 +30,7 @@ class OwnRequests:
         self._reloading = asyncio.Lock()
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-        """Raises ``GatewayError`` with what would do."""
+        """Answer one request about the gateway. Raises ``GatewayError`` that names the remedy."""
         request = asked("gateway", verb, data)
         if isinstance(request, ConnectRequest):
             return await self._connect(request)

@@ -90,8 +90,13 @@ class Service:
         others: Sequence[FurtherBody] = (),
         config: Path | None = None,
     ) -> None:
-        """awaited: the method that is being compiled meanwhile, and takes over then; others: further people
-        whose markers come by the same links; config: the file that the settings come from."""
+        """Build every part of the gateway; nothing is opened and no task is started.
+
+        links: in place of those of the settings.
+        awaited: the method that is being compiled meanwhile, and takes over when it is ready.
+        others: further people whose markers come by the same links.
+        config: the file that the settings come from.
+        """
         settings = fitting_suit(settings, suit)
         self.others = others
         self._handed: dict[str, list[HandedLink]] = {}
@@ -321,7 +326,7 @@ class Service:
         return source_kind(self._carries.get(link.name, SUIT)).takes_commands
 
     async def _ingest(self, link: Link) -> None:
-        """link → pipeline → outputs, for one link."""
+        """Pass on what one link yields, until it ends: link → pipeline → outputs."""
         await link.open()
         contents = self._contents_of(link)
         for name, content in contents.items():
@@ -334,13 +339,17 @@ class Service:
         losses = n_poses = 0
         try:
             async for item in link:
+                # With a disk slower than the suit, the recorder's queue would grow without bound.
                 if self.recording.is_behind:
                     await self.recording.catch_up()
                 if counts.losses != losses:
+                    # Bytes lost in the link's own buffers leave a gap in the packets that follow: the gap's
+                    # cause is known.
                     losses = counts.losses
                     self.pipeline.modules.notice(link.name, Cause.OVERRUN)
                 if isinstance(item, Chunk):
                     n_poses += self._take_chunk(item, contents[item.link])
+                    # The arrival times of a recording are not of today, so they say nothing of the load.
                     if not isinstance(link, ReplayLink):
                         self._note_lag(link.name, counts, item.arrived_ns)
                     if self.side.is_waiting or n_poses >= _POSES_A_TURN:
@@ -366,11 +375,12 @@ class Service:
         return len(skeleton_frames)
 
     def _fed(self, chunk: Chunk) -> list[SkeletonFrame]:
-        """The pipeline must not raise; should it all the same, one chunk is lost and not the session."""
+        """Return the poses that a chunk completes; an exception costs this chunk, never the session."""
         try:
             return self.pipeline.feed(chunk)
         except Exception:
             self.failed_chunks += 1
+            # A defect may hit every chunk: logging the first, tenth, hundredth … keeps the log readable.
             if self.failed_chunks in _LOGGED_FAILURES:
                 log.exception(
                     "chunk %d that could not be handled (%d bytes of %s at %d ns): the gateway goes on; "
@@ -415,24 +425,31 @@ class Service:
                 self._shed()
 
     def _note_sent(self, sent: SentChunk) -> None:
-        """An input of the pipeline like what comes, and recorded in its place among it."""
+        """Give the pipeline what the gateway has sent, and record it in its place among what was received."""
         self.recording.sent(sent)
         self.pipeline.sent(sent)
 
     def _apply_event(self, name: str, data: Mapping[str, Any], worn: Worn | None = None) -> dict[str, object]:
-        """A reset or a calibration: another input of the pipeline. Raises ``GatewayError``."""
+        """Apply a reset or a calibration, and record it as an input; return what changed.
+
+        Raises ``GatewayError`` if the suit or the method does not allow it.
+        """
         changed = self.pipeline.event(name, data, worn)
+        # Recorded only once it was applied: a replay then meets no event that failed.
         self.recording.event(name, data)
         self.recording.worn(self.pipeline.suit)
         return changed
 
     async def _calibrated(self, data: Mapping[str, Any]) -> None:
-        """A calibration: poses go on while another thread makes what it needs. Raises ``GatewayError``."""
+        """Apply a calibration; what it needs is prepared in a thread, so that poses go on.
+
+        Raises ``GatewayError``.
+        """
         worn = await asyncio.to_thread(self.pipeline.prepare, data)
         self._apply_event(CALIBRATED_EVENT, data, worn)
 
     def _replay_event(self, event: InputEvent) -> None:
-        """One of a recording that is played; with another suit or method it may not be possible."""
+        """Apply an event of a recording that is played; ignore it where this suit or method cannot."""
         if event.name in INPUT_EVENTS:
             with contextlib.suppress(GatewayError):
                 self._apply_event(event.name, event.data)
@@ -458,7 +475,7 @@ class Service:
                 )
 
     async def _report(self) -> None:
-        """A line now and then for whoever reads the log."""
+        """Log every ``REPORT_INTERVAL_S`` seconds how many poses and packets came and were lost."""
         frames_before = 0
         strangers: set[str] = set()
         while True:
@@ -483,7 +500,7 @@ class Service:
 
 
 async def _run_beside(service: Service) -> None:
-    """A further person's service; should it fail, the first person's goes on."""
+    """Run a further person's service; if it fails, log why and let the others go on."""
     try:
         await service.run()
     except GatewayError as error:

@@ -39,7 +39,7 @@ class Synchroniser:
         interval_s: float,
         clock_ns: Callable[[], int] = gateway_time_ns,
     ) -> None:
-        """links: those that are announced to the pipeline; others may join them."""
+        """Ask over ``links`` every ``interval_s`` seconds; the list may grow while this runs."""
         self._links = links
         self._sender = sender
         self._interval_s = interval_s
@@ -62,7 +62,7 @@ class Synchroniser:
             await self._ask(link)
 
     async def _ask(self, link: Link) -> None:
-        """One request to all modules on a link; a link that is away is left alone until it is back."""
+        """Send one time request to all modules on a link; a link that is down is skipped until it is back."""
         frame = question(self._asked, self._clock_ns())
         self._asked += 1
         await self._sender.send(link, frame)

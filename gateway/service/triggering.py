@@ -35,7 +35,7 @@ class Triggerer:
         rate_hz: float,
         clock_ns: Callable[[], int] = gateway_time_ns,
     ) -> None:
-        """links: those that are announced to the stream; others may join them."""
+        """Trigger over ``links`` at ``rate_hz``; the list may grow while this runs."""
         self.timer = TriggerTimer(1e9 / rate_hz)
         self._links = links
         self._sender = sender
@@ -68,9 +68,10 @@ class Triggerer:
         return {"trigger_timer": self.timer.figures.summary()}
 
     def _broadcast(self, trigger: Trigger) -> None:
-        """Over all links at once; one that still hangs in the write before it is left out."""
+        """Send a trigger over all links at once, except those whose previous write has not returned."""
         for link in self._links:
             before = self._sending.get(link.name)
+            # Waiting for a blocked link would delay the trigger on every other link.
             if before is not None and not before.done():
                 self.timer.figures.unsent += 1
                 continue
