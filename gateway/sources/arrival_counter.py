@@ -48,10 +48,11 @@ class ArrivalCounter:
     def __init__(
         self, rates_hz: Sequence[float] = (), rate_hz: float | None = None, counter_bits: int | None = None
     ) -> None:
-        """
-        rates_hz: that such a device can have; none: any.
-        rate_hz: that it has; None: it is learnt from the first samples.
-        counter_bits: of the count that every sample bears; None: they bear none.
+        """Begin without a sample.
+
+        rates_hz: output rates that such a device can have; empty: any rate.
+        rate_hz: output rate that it has; None: it is estimated from the first samples.
+        counter_bits: width of the counter in every sample; None: samples have no counter.
         """
         self.interval_ns: float | None = None if rate_hz is None else 1e9 / rate_hz
         """Between two samples; None: not known yet."""

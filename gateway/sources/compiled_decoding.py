@@ -108,7 +108,7 @@ class CompiledDecoder(Row):
     _n_left: int
 
     def __init__(self, entries: Entries) -> None:
-        """entries: where packets are put."""
+        """Decode into ``entries``, which other decoders may share."""
         self._row = self.memory.view(DECODER)
         self._entries = entries
         self._kernel: Callable[..., Any] = self._compile()
@@ -151,7 +151,7 @@ class CompiledCanDecoder(CompiledDecoder):
     """The same of CAN records; a chunk is a run of whole ones."""
 
     def __init__(self, entries: Entries) -> None:
-        """entries: where packets are put."""
+        """Decode into ``entries``, which other decoders may share."""
         self._frames = np.zeros(MAX_PARTIAL_FRAMES, PARTIAL)
         self._places = np.zeros(N_STREAMS, np.int64)
         super().__init__(entries)
@@ -177,7 +177,7 @@ class Follower:
     """Turns the samples among the packets of a chunk into rows of a batch, by kernels."""
 
     def __init__(self, table: ModuleTable, readings: Readings) -> None:
-        """table: of the modules; readings: where samples are put."""
+        """Follow the clocks of ``table``, and put samples into ``readings``."""
         self._table = table
         self._readings = readings
         self._follow = follow

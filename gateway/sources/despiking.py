@@ -64,7 +64,7 @@ class Despiker:
         return len(self._rows)
 
     def summary(self) -> dict[str, int]:
-        """For the health message: spikes by module."""
+        """Return the number of spikes by module, for the health message."""
         return {str(module): count for module, count in sorted(self.spikes.items()) if count}
 
     def _row_of(self, module: int) -> int:

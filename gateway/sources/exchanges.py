@@ -14,19 +14,19 @@ class TimeExchanges:
     """Told of every request that left and of every answer that came. Sans-I/O."""
 
     def __init__(self, modules: Mapping[int, ModuleRecord]) -> None:
-        """modules: those heard so far, by id; it grows."""
+        """Match the exchanges of ``modules``, which is by id and grows as modules are heard."""
         self._modules = modules
         self._exchanges: dict[int, SyncExchanges] = {}
         self._link_of: dict[int, str] = {}
 
     def asked(self, token: int, sent: SentChunk) -> None:
-        """A request to all modules of a link has left."""
+        """Note that a time request has left on a link, for every module that may answer it."""
         for module, record in self._modules.items():
             if isinstance(record.clock, EstimatedClock) and self._link_of.get(module, sent.link) == sent.link:
                 self._exchanges.setdefault(module, SyncExchanges()).sent(token, sent.sent_ns)
 
     def answered(self, received: ReceivedPacket, chunk: Chunk) -> None:
-        """A ``SyncResponse`` came."""
+        """Match a ``SyncResponse`` to its request, and correct the clock of the module that sent it."""
         record, exchanges = self._modules.get(received.module), self._exchanges.get(received.module)
         if record is None or exchanges is None or not isinstance(record.clock, EstimatedClock):
             return

@@ -30,7 +30,7 @@ class HeatMapSource(ListeningSource):
     observes = HeatMapFrame
 
     def __init__(self, suit: WornSuit) -> None:
-        """suit: of the person as the cameras see them."""
+        """Receive the cameras that ``suit.video`` names."""
         assert suit.video is not None
         self._row = {camera.name: row for row, camera in enumerate(suit.video.cameras)}
         self._network = suit.video.network
@@ -110,10 +110,11 @@ class _Instants:
         self._offset_ns: int | None = None
 
     def add(self, row: int, message: HeatMapMessage, arrived_ns: int) -> bool:
-        """Whether the message comes in time."""
+        """Add the message of camera ``row``; return False if its instant was already given."""
         self._now_ns = arrived_ns
         self._heard_ns = self._heard_ns or [arrived_ns] * self._n
         self._heard_ns[row] = arrived_ns
+        # A sequence number far below the last one means that the sender was restarted.
         if message.sequence <= self._last[row] - _BEGUN_ANEW:
             self.begun_anew += 1
             self._forget()
@@ -128,7 +129,7 @@ class _Instants:
         return True
 
     def complete(self) -> Iterator[HeatMapFrame]:
-        """Instants that all cameras have told of, or that are given up waiting for, in order."""
+        """Yield instants in order, once every camera has sent its message or is no longer waited for."""
         while self._waiting:
             first = min(self._waiting)
             if self._is_awaited(first):
@@ -141,7 +142,7 @@ class _Instants:
             yield self._frame(first, messages)
 
     def _is_awaited(self, sequence: int) -> bool:
-        """Whether a camera may still tell of this instant, and is waited for."""
+        """Return whether a camera may still send its message of this instant, and is worth waiting for."""
         missing = set(range(self._n)) - self._waiting[sequence].keys()
         may_come = any(
             self._last[row] < sequence and self._now_ns - self._heard_ns[row] < SILENT_NS for row in missing
@@ -158,13 +159,13 @@ class _Instants:
 
 
 def heat_map_frame(sequence: int, messages: Sequence[bytes]) -> HeatMapFrame:
-    """One instant of messages, in the order of the cameras; its time is that of the first."""
+    """Return a frame of one instant's messages, one per camera; its time is that of the first."""
     read = [HeatMapReceiver().receive(message)[0] for message in messages]
     return HeatMapFrame(sequence, read[0].time_ns, tuple(map(heat_maps_of, read)))
 
 
 def heat_maps_of(message: HeatMapMessage | None) -> CameraHeatMaps | None:
-    """What a message shows; None: nobody, or there is no message."""
+    """Return the heat maps of a message as likelihoods of 0 to 1; None: no message, or nobody was seen."""
     if message is None or message.likelihood is None:
         return None
     return CameraHeatMaps(message.likelihood.astype(np.float32) / np.float32(255), message.map_from_pixel)

@@ -56,9 +56,10 @@ class HipSource(ListeningSource):
         yield Balance("readings", self._readings, {})
 
     def _reading(self, pose: VideoPose) -> LocalReading | None:
-        """Not smoothed: what follows weighs readings by their sigma, and knows nothing of a delay.
+        """Return the middle of the hips as a position of the root, m, in world axes; None if one is lost.
 
-        None: a hip is lost, and its place would be the body's guess.
+        It is not smoothed: the filter that takes it weighs readings by their sigma, and would take
+        smoothing for a delay. A lost hip is not filled in: its place would be the body model's guess.
         """
         hips = pose.candidates[self._rows].mean(axis=0)
         if not np.isfinite(hips).all() or not np.isfinite(pose.keypoints).all():

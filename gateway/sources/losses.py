@@ -27,7 +27,8 @@ class LinkLosses:
         self._noticed[cause] = self.chunk
 
     def cause_since(self, chunk: int) -> Cause:
-        """Why packets are missing after one that came in ``chunk``."""
+        """Return why packets are missing after one that came in ``chunk``."""
+        # The order of ``Cause`` is the order of precedence where several happened.
         for cause in Cause:
             if self._noticed.get(cause, -1) >= chunk:
                 return cause

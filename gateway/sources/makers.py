@@ -99,7 +99,8 @@ class Decoder(Protocol):
     unused: int
     """Messages of kinds that nothing is made from."""
 
-    def feed(self, data: bytes) -> Sequence[Any]: ...
+    def feed(self, data: bytes) -> Sequence[Any]:
+        """Return the messages that the bytes complete."""
 
 
 class MakersDevice:
@@ -108,7 +109,7 @@ class MakersDevice:
     new_decoder: ClassVar[Callable[[], Decoder]]
 
     def __init__(self, settings: Any) -> None:
-        """settings: of its link, of the class that its source names."""
+        """Serve one device; ``settings`` are those of its link, of the class that its source names."""
         self.settings = settings
         self.decoder = type(self).new_decoder()
         self.without_reading = 0
@@ -412,7 +413,8 @@ class CommandLine(Protocol):
 class MakersCommands(Protocol):
     """What may be asked of a maker's devices. What a device cannot do raises ``DeviceError``."""
 
-    async def describe(self, line: CommandLine) -> Description: ...
+    async def describe(self, line: CommandLine) -> Description:
+        """Return what the device says of itself. Raises ``GatewayError`` if it does not answer."""
 
     async def identify(self, line: CommandLine, seconds: int) -> None:
         """Make it blink."""

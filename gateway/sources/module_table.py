@@ -63,7 +63,11 @@ class ModuleTable:
         *,
         is_compiled: bool = True,
     ) -> None:
-        """is_compiled: whether kernels take the usual stamps; else all go the readable way."""
+        """Begin without modules.
+
+        clock_table: rates, for mode TABLE only.
+        is_compiled: whether kernels take the usual stamps; if not, Python takes all, to the same result.
+        """
         self.records: dict[int, ModuleRecord] = {}
         """By module id."""
         self._restarted: set[int] = set()

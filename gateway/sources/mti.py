@@ -165,7 +165,7 @@ class MtiCommands:
         return await _configuring(line, ask)
 
     async def identify(self, line: CommandLine, seconds: int) -> None:
-        """Refuse: there is nothing on it that lights."""
+        """Raise ``GatewayError``: an MTi has no light to blink."""
         raise cannot_blink("an MTi has no light to blink")
 
     async def read(self, line: CommandLine) -> dict[str, Any]:

@@ -438,7 +438,7 @@ class SlimevrCommands:
         return Description(key, "SlimeVR", firmware or None)
 
     async def identify(self, line: CommandLine, seconds: int) -> None:
-        """Refuse: it knows no command for its light."""
+        """Raise ``GatewayError``: a SlimeVR tracker knows no command for its light."""
         raise cannot_blink("a SlimeVR tracker knows no command for its light")
 
     async def read(self, line: CommandLine) -> dict[str, Any]:

@@ -69,7 +69,7 @@ class ListeningSource:
     """A source that writes nothing to its links: the parts that are then empty."""
 
     def sent(self, chunk: SentChunk) -> None:
-        """No-op: nothing is expected back."""
+        """Ignore what was sent: sources of this kind expect no answer."""
 
     def dropped(self) -> Mapping[str, Mapping[str, int]]:
         """Return what could not be read, by link and reason."""

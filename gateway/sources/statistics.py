@@ -55,7 +55,7 @@ class SequenceCounter(Row):
     _heard_in: int
 
     def __init__(self, *, memory: Memory | None = None) -> None:
-        """memory: of a ``SEQUENCE``, all zeros, where somebody else keeps the state."""
+        """Begin without packets; ``memory`` is a zeroed ``SEQUENCE`` where compiled code shares the state."""
         self.lost_by: Counter[Cause] = Counter()
         """Packets that have not come, by what may have befallen them."""
         self.duplicates = 0
@@ -136,7 +136,7 @@ class SequenceCounter(Row):
         return full
 
     def restart(self) -> None:
-        """The module counts from anew: its next number, whatever it is, follows on the last one."""
+        """Accept any number next, without a gap: the module counts from anew."""
         self._goes_on = False
 
 
@@ -164,7 +164,9 @@ class ModuleRecord(Row):
         *,
         memory: Memory | None = None,
     ) -> None:
-        """memory: of a ``MODULE``, where somebody else keeps the state."""
+        """Begin the record of a module; ``memory`` is a zeroed ``MODULE`` where compiled code shares the
+        state.
+        """
         self.module = module
         self.clock = clock
         self.first_arrival_ns = first_arrival_ns
@@ -226,7 +228,7 @@ class ModuleRecord(Row):
         return {name: count for name, count in sums.items() if count}
 
     def summary(self) -> dict[str, object]:
-        """For the health message: plain names and values."""
+        """Return the counters and clock figures as plain names and values, for the health message."""
         figures = self.clock.figures()
         summary: dict[str, object] = {
             "received": self.received,

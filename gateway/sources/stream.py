@@ -76,9 +76,12 @@ class Stream:
         table: ModuleTable | None = None,
         is_compiled: bool = True,
     ) -> None:
-        """triggers: what answers are awaited in mode TRIGGER; None in any other. table: of the modules of all
-        sources, where there are others; then clock_mode and clock_table are its own. is_compiled: whether
-        kernels take the usual samples; else all goes the readable way, to the same result."""
+        """Begin without links.
+
+        triggers: matches answers to triggers in mode TRIGGER; None in any other mode.
+        table: shared by all sources; its clock mode and clock table then hold in place of those given here.
+        is_compiled: whether kernels take the usual samples; if not, Python takes all, to the same result.
+        """
         self.triggers = triggers
         self.table = table or ModuleTable(clock_mode, clock_table, is_compiled=is_compiled)
         self.modules = self.table.records
@@ -167,7 +170,7 @@ class Stream:
         return () if decoder is None else decoder.senders
 
     def sender_statistics(self) -> dict[str, dict[str, object]]:
-        """By link with several senders: who they are, and who else sends there."""
+        """Return who sends on each link with several senders, and who else sends there."""
         found = {name: decoder.statistics() for name, decoder in self._decoders.items()}
         return {name: statistics for name, statistics in found.items() if statistics}
 
@@ -221,8 +224,9 @@ class Stream:
     def _read_triggered(
         self, triggers: TriggerAnswers, record: ModuleRecord, received: ReceivedPacket, chunk: Chunk
     ) -> Reading | Sample | None:
-        """A sample that answers a trigger: its instant is the trigger's, whatever the module's clock
-        says."""
+        """Return the sample that answers a trigger; its instant is the trigger's, whatever the module's clock
+        says.
+        """
         answer = triggers.answered(received.module, received.sequence, chunk.link, chunk.arrived_ns)
         if answer is None:
             return None

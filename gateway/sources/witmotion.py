@@ -182,7 +182,7 @@ class WitMotionCommands:
         return Description(number.hex(), "WitMotion", str(version))
 
     async def identify(self, line: CommandLine, seconds: int) -> None:
-        """Refuse: its light is switched by a register, which nothing writes unasked."""
+        """Raise ``GatewayError``: its light is switched by a register, which nothing writes unasked."""
         raise cannot_blink("a WitMotion device does not blink when it is asked")
 
     async def read(self, line: CommandLine) -> dict[str, Any]:

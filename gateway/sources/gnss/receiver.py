@@ -132,7 +132,7 @@ class GnssReceiver:
         return {defect.name.lower(): count for defect, count in self._decoder.dropped.items()}
 
     def statistics(self) -> dict[str, object]:
-        """For the health message."""
+        """Return state, quality, standard deviation (m) and counters, for the health message."""
         is_silent = self._now_ns - self._heard_ns > SILENT_NS or not self._heard_ns
         return {
             "device": self._params.device,

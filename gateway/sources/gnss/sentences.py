@@ -79,8 +79,9 @@ class GnssDecoder:
         return fixes
 
     def _messages(self) -> Iterator[bytes]:
-        """Cuts whole messages off the buffer's front."""
+        """Yield whole messages from the buffer's front, and remove them; an incomplete one stays."""
         while self._buffer:
+            # Both protocols may share one line, so the nearest start of either comes first.
             starts = [i for i in (self._buffer.find(b"$"), self._buffer.find(_UBX_HEAD[:1])) if i >= 0]
             start = min(starts, default=len(self._buffer))
             if self._buffer[:start].strip(b"\r\n"):
@@ -119,8 +120,13 @@ class GnssDecoder:
         return Fix(utc, quality, _checked(place), self._sigma(said, quality))
 
     def _sigma(self, said: Any, quality: int) -> tuple[float, float, float]:
-        """By GST, of this epoch or one a little before; else by HDOP."""
+        """Return the standard deviations east, north and up of a fix, m.
+
+        They come from a recent GST sentence; without one, from HDOP and the range error that is usual for
+        ``quality``.
+        """
         if self._accuracy is not None and said.time:
+            # GST carries the time of day only: the shorter way round midnight is the true difference.
             since = abs(_of_day(said.time) - _of_day(self._accuracy[0]))
             if min(since, 86400.0 - since) < ACCURACY_HOLDS_S:
                 return self._accuracy[1]
@@ -139,7 +145,9 @@ class GnssDecoder:
         return Fix(self._utc(said.time), 1, velocity=velocity, velocity_sigma=sigma)
 
     def _utc(self, at: time | str) -> datetime | None:
-        """With the date of the last RMC; None until one came, or without a time."""
+        """Return a time of day with the date of the last RMC sentence; None without a time or before the
+        first RMC.
+        """
         if self._date is None or not isinstance(at, time):
             return None
         return datetime.combine(self._date, at.replace(tzinfo=UTC))
@@ -178,7 +186,7 @@ def _of_day(at: time) -> float:
 
 
 def _ubx_size(data: bytes) -> int | None:
-    """Of the message at the front; None: not whole yet; 0: none."""
+    """Return the size of the UBX message at the front, bytes; None: incomplete, 0: no message begins here."""
     if len(data) < 6:
         return None if _UBX_HEAD.startswith(data[:2]) or data[:2] == _UBX_HEAD else 0
     size = 8 + int.from_bytes(data[4:6], "little")

@@ -32,7 +32,7 @@ class CellArray:
     """The cells of one module."""
 
     def __init__(self, normals: FloatArray) -> None:
-        """normals: (k, 3) sensor axes. Raises ``ValueError`` unless they span space."""
+        """Prepare cells with normals (k, 3) in sensor axes. Raises ``ValueError`` unless they span space."""
         lengths = np.linalg.norm(normals, axis=1)
         if np.linalg.matrix_rank(normals) < 3 or not (lengths > 0.0).all():
             raise ValueError("normals of photoelectric cells must span all three directions")
@@ -40,7 +40,11 @@ class CellArray:
         self._inverses: dict[bytes, FloatArray] = {}
 
     def solve(self, readings: FloatArray) -> CellSolution:
-        """readings: (k,) share of full scale."""
+        """Return the direction of the light in sensor axes, from readings (k,) as a share of full scale.
+
+        A cell that faces away sees diffuse light only, which a linear fit must not use. Cells are left out
+        one by one, darkest first; the fit with the least mean square error over all cells wins.
+        """
         order, least, found = np.argsort(readings), np.inf, np.zeros(4)
         is_lit = np.ones(len(readings), bool)
         for darkest in order:

@@ -81,7 +81,9 @@ class SunCompass:
     """Deterministic: the same frames give the same sights, bit for bit."""
 
     def __init__(self, suit: WornSuit) -> None:
-        """Raises ``ValueError`` for a suit without ``sun``, or cells that do not span space."""
+        """Prepare the cells of a suit. Raises ``ValueError`` without ``sun``, or if the cells do not span
+        space.
+        """
         if suit.sun is None:
             raise ValueError("the suit has no photoelectric cells: its rig names no place for the sun")
         self._sun = suit.sun
@@ -113,7 +115,7 @@ class SunCompass:
         return replace(frame, sun=sight, magnetic_field=np.full_like(frame.magnetic_field, np.nan))
 
     def statistics(self) -> dict[str, object]:
-        """For the health message: by module what it sees now, and how many readings told what."""
+        """Return what each module sees now and how its readings were judged, for the health message."""
         elevation = math.degrees(math.asin(self._world[2])) if np.isfinite(self._world[2]) else None
         modules = {
             str(number): {"state": self._state(self._modules[row]), **self._modules[row].counts}
@@ -159,7 +161,7 @@ class SunCompass:
     def _fault(
         self, module: _Module, reading: LightReading, solution: CellSolution, force: FloatArray
     ) -> Rejected | None:
-        """Why the reading tells no heading; None: it does."""
+        """Return why a reading gives no heading; None: it gives one."""
         elevation = math.asin(self._world[2])
         direct, all_light = solution.direct, solution.direct + max(solution.diffuse, 0.0)
         tests = {
@@ -189,6 +191,8 @@ def _has_jumped(module: _Module, time_ns: int, direction: FloatArray) -> bool:
 
 
 def _turn_along(module: _Module, rate: FloatArray, dt: float) -> None:
-    """A direction that stands still in the world, in axes that turn at ``rate`` for dt."""
+    """Turn a module's direction, fixed in the world, into sensor axes that turned at ``rate`` (rad/s) for
+    ``dt`` s.
+    """
     if dt != 0.0 and np.isfinite(module.direction[0]) and np.isfinite(rate).all():
         module.direction = rotation_matrix.from_rotation_vector(-rate * dt) @ module.direction
