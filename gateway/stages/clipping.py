@@ -85,7 +85,7 @@ class RangeWatch:
     found."""
 
     def __init__(self, ranges: Mapping[int, SensorRanges]) -> None:
-        """ranges: by module id, as the rig states them."""
+        """Watch modules for clipping; ``ranges`` are those that the rig states, by module id."""
         self._ranges = ranges
         self._rows = np.full(MOST_MODULES, _UNHEARD, np.int64)  # of ``_watched``, by module id
         self._watched = np.zeros(0, _WATCHED)
@@ -120,7 +120,7 @@ class RangeWatch:
         return result
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """For the health message: clipped samples, and the ends that were found, m/s² and °/s."""
+        """Return clipped samples and the limits found, m/s² and °/s, by module, for the health message."""
         told: dict[str, dict[str, float]] = {}
         for module, sensors in self.found().items():
             values = told.setdefault(str(module), {})
@@ -217,6 +217,6 @@ def _note_step(axis: Any, step: float, of_others: float, value: float) -> None:
 
 @compiled
 def _forget(axes: Any) -> None:
-    """Samples have been lost: no step is known."""
+    """Forget the last step of every axis: samples were lost since."""
     for i in range(3):
         axes[i].last, axes[i].flat, axes[i].step, axes[i].entry_next = np.nan, 0, 0.0, 0.0

@@ -136,7 +136,7 @@ class FrameAssembler:
             self._make_room()
 
     def _make_room(self) -> None:
-        """For what did not fit: another block, or a longer queue."""
+        """Allocate what was full: another block of frames, or a longer queue of arrivals."""
         if self._used == _BLOCK:
             self._block, self._used = new_block(_BLOCK, len(self._module_ids)), 0
         if self._grid["n_passed"][0] == len(self._passed):

@@ -187,7 +187,9 @@ def _store(grid: Any, modules: NDArray[np.void], ring: NDArray[np.void], row: in
 
 @compiled
 def _insert_late(grid: Any, module: Any, ring: NDArray[np.void], sample: Any) -> bool:
-    """A sample overtaken by newer ones on its way: still useful if its instant is yet to come."""
+    """Insert a sample that newer ones overtook; return False if its instant has passed, or it is a
+    repetition.
+    """
     newer = 0
     for slot in range(DEPTH):
         if ring[slot].time_ns == sample.time_ns:
@@ -208,8 +210,10 @@ def _insert_late(grid: Any, module: Any, ring: NDArray[np.void], sample: Any) ->
 
 @compiled
 def _note_arrival(grid: Any, modules: NDArray[np.void], passed: NDArray[np.void], arrived_ns: int) -> int:
-    """After a sample that was kept: how far the modules are, begin the grid, go on after silence. Returns how
-    many instants were skipped."""
+    """Update the grid after a sample that was kept; return how many instants were skipped.
+
+    Notes how far the modules have come, begins the grid, and goes on after silence.
+    """
     last = (grid.passed_begin + grid.n_passed - 1) % len(passed)
     reached_ns = passed[last].reached_ns if grid.n_passed > 0 else grid.instant_ns - 1
     if grid.newest_ns > reached_ns:
@@ -272,8 +276,7 @@ def _is_due(grid: Any, modules: NDArray[np.void], passed: NDArray[np.void], arri
 
 @compiled
 def _skip_silence(grid: Any, modules: NDArray[np.void], passed: NDArray[np.void]) -> int:
-    """After silence of the whole suit, go on at the present instead of filling in the past. Returns how many
-    instants were skipped."""
+    """Move the grid to the present after silence of the whole suit; return how many instants were skipped."""
     count = int((grid.newest_ns - grid.start_ns) // grid.interval_ns)
     skipped = count - int(grid.count)
     grid.skipped_instant += skipped

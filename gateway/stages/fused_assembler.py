@@ -26,7 +26,9 @@ class FusedAssembler:
     """
 
     def __init__(self, module_ids: tuple[int, ...], params: AssemblyParams, reference: int) -> None:
-        """reference: the module whose instants count; best the slowest by the clock table."""
+        """Assemble at the instants of ``reference``; the slowest module by the clock table is the best
+        choice.
+        """
         self.lost: Counter[Lost] = Counter()
         self.late: Counter[int] = Counter()
         """Readings no later than one before, by module id; those of ``lost`` one by one."""

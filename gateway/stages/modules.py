@@ -62,11 +62,11 @@ class NoModules:
         self._name = suit.skeleton.name
 
     def update(self, observation: ImuFrame) -> SkeletonFrame:
-        """Raises ``GatewayError``."""
+        """Raise ``GatewayError``: this person wears no modules."""
         raise GatewayError(f"frame {observation.sequence} of modules, and none is worn on '{self._name}'")
 
     def reset(self) -> None:
-        """No-op: the stage keeps nothing."""
+        """Do nothing: the stage keeps no state."""
 
 
 class ModuleStage:
