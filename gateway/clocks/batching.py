@@ -30,7 +30,7 @@ class LinkBatching:
         self._first = list(_FIRST_GAPS)
 
     def observe(self, arrived_ns: int) -> None:
-        """A chunk came."""
+        """Note the arrival of a chunk, and estimate the slot from the gaps so far."""
         gap = arrived_ns - self._last_ns
         if gap < _SAME_CHUNK_NS:
             return
@@ -53,7 +53,7 @@ class RelayBatching(LinkBatching):
         self._elapsed_ns = 0
 
     def observe_tick(self, relayed_us: int) -> None:
-        """A packet came in a batch so stamped (µs modulo 2^32)."""
+        """Note the stamp of the batch in which a packet came, µs modulo 2^32."""
         if relayed_us != self._tick_us:
             self._elapsed_ns += (relayed_us - self._tick_us) % 2**32 * 1000
             self._tick_us = relayed_us

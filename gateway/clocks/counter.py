@@ -57,7 +57,7 @@ class Counter32(Row):
     _late_by_us: int
 
     def __init__(self, *, memory: Memory | None = None) -> None:
-        """memory: of a ``COUNTER32``, all zeros, where somebody else keeps the state."""
+        """Begin without a stamp; ``memory`` is a zeroed ``COUNTER32`` if compiled code shares the state."""
 
     @property
     def newest_us(self) -> int | None:

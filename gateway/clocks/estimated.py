@@ -69,8 +69,12 @@ class EstimatedClock(Row):
         memory: Memory | None = None,
         is_compiled: bool = True,
     ) -> None:
-        """memory: of a ``CLOCK``, all zeros, where somebody else keeps the state. is_compiled: whether a
-        kernel takes the usual stamps; else all go the readable way, to the same result."""
+        """Begin without a stamp.
+
+        batching: of the link; None: a link that hands over what it has at once.
+        memory: a zeroed ``CLOCK`` where compiled code shares the state.
+        is_compiled: whether a kernel takes the usual stamps; if not, Python takes all, to the same result.
+        """
         self._kind = ESTIMATED
         self._rows = self.memory.view(CLOCK)
         self._elapsed = part(self.memory, CLOCK, "elapsed_us").view(np.int64)
@@ -130,7 +134,7 @@ class EstimatedClock(Row):
         return time_ns if time_ns <= arrived_ns else self._clamped(elapsed_us, arrived_ns)
 
     def _clamped(self, elapsed_us: int, arrived_ns: int) -> int:
-        """Nothing arrives before it was sent; yet later stamps get later instants."""
+        """Return an instant, ns, no later than the arrival and later than that of every earlier stamp."""
         if elapsed_us <= self._clamped_us:
             return arrived_ns
         self._clamped_us, self._clamped_ns = elapsed_us, max(arrived_ns, self._clamped_ns + 1)
@@ -160,7 +164,7 @@ class EstimatedClock(Row):
         return self._start_us + elapsed_us
 
     def forget(self) -> None:
-        """The next stamp starts anew; what is known of the rate stays."""
+        """Start anew at the next stamp, but keep the estimated rate."""
         self._counter.forget()
 
     @property

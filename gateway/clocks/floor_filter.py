@@ -42,8 +42,9 @@ _FAR, _NEAR = 20.0, 3.0
 
 @compiled
 def _softplus(u: float, corner: float) -> tuple[float, float]:
-    """max(u, 0) with a corner rounded over so many µs, and its slope."""
+    """Return max(u, 0) with its corner rounded over ``corner`` µs, and its slope."""
     z = u / corner
+    # exp(z) would overflow; the difference to the straight line is below 1e-6.
     if z > 15.0:
         return u, 1.0
     e = math.exp(z)
@@ -52,7 +53,7 @@ def _softplus(u: float, corner: float) -> tuple[float, float]:
 
 @compiled
 def _packet(u: float, m: float, slot: float, corner: float) -> tuple[float, float, float, float]:
-    """log P(u), its slope, minus its curvature, and its slope over log m."""
+    """Return log P(u), its slope, minus its curvature, and its slope over log m."""
     beyond = min(u + _FAR * corner, 0.0)  # far on the wrong side log P is a straight line
     a, a1 = _softplus(u - beyond, corner)
     b, b1 = _softplus(u - beyond - slot, corner)
@@ -128,7 +129,7 @@ def _derivatives(
 
 @compiled
 def _inverse(M: FloatArray) -> FloatArray:
-    """Of a symmetric matrix (2, 2)."""
+    """Return the inverse of a symmetric matrix (2, 2)."""
     out = np.empty((2, 2))
     determinant = M[0, 0] * M[1, 1] - M[0, 1] * M[0, 1]
     out[0, 0], out[1, 1] = M[1, 1] / determinant, M[0, 0] / determinant

@@ -55,7 +55,8 @@ class ModuleClock(Protocol):
         """Gateway time in ns of a 32-bit stamp that arrived at ``arrived_ns``."""
         ...
 
-    def figures(self) -> ClockFigures: ...
+    def figures(self) -> ClockFigures:
+        """Return offset, rate and their uncertainty as now estimated."""
 
 
 class SharedOffset:
@@ -80,7 +81,7 @@ class SharedClock(Row):
         *,
         memory: Memory | None = None,
     ) -> None:
-        """memory: of a ``CLOCK``, all zeros, where somebody else keeps the state."""
+        """Begin without a stamp; ``memory`` is a zeroed ``CLOCK`` where compiled code shares the state."""
         self._kind = SHARED
         self._shared = shared
         self._counter = Counter32(memory=part(self.memory, CLOCK, "counter"))
@@ -91,6 +92,7 @@ class SharedClock(Row):
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
         # from packet to packet: data may be played faster than they were taken, and nothing is estimated
+        """Return the gateway time of a stamp, ns."""
         newest_us = self._counter.newest_us
         expected_us = (newest_us or 0) + (arrived_ns - self._heard_ns) // MICROSECOND_NS
         full_us = self._counter.full_us(module_time_us, expected_us, arrived_ns)
@@ -109,4 +111,5 @@ class SharedClock(Row):
         return shared
 
     def figures(self) -> ClockFigures:
+        """Return the common offset; the rate is exact, since the modules count one clock."""
         return ClockFigures(self._start_ns, 0.0)

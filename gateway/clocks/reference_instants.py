@@ -62,9 +62,11 @@ class ReferenceInstants:
         silent_us: float = math.inf,
         max_gap_us: float = math.inf,
     ) -> None:
-        """
-        silent_us: a module of which nothing has come for so long is not waited for.
-        max_gap_us: longest time without a datum, when some were lost, that is bridged.
+        """Begin without data.
+
+        depth: instants of the reference module that are kept waiting at most.
+        silent_us: a module of which nothing has come for so long is not waited for, µs.
+        max_gap_us: longest time without a datum, when some were lost, that is bridged, µs.
         """
         self._silent_us = silent_us
         self._max_gap_us = max_gap_us

@@ -54,7 +54,7 @@ class SyncExchanges:
         self._sent: dict[int, int] = {}
 
     def sent(self, token: int, sent_ns: int) -> None:
-        """A request left the gateway."""
+        """Note that a request has left the gateway, and give up on requests too old to be answered."""
         self._sent[token % TOKENS] = sent_ns
         old = [t for t, at in self._sent.items() if sent_ns - at > PATIENCE_NS]
         old += list(self._sent)[: max(0, len(self._sent) - _OUTSTANDING - len(old))]
@@ -62,7 +62,9 @@ class SyncExchanges:
             self.unanswered += self._sent.pop(key, None) is not None
 
     def answered(self, token: int, received_us: int, replied_us: int, arrived_ns: int) -> Exchange | None:
-        """An answer came. None when it answers nothing, or a time in it is impossible."""
+        """Return the exchange that an answer completes; None if it answers nothing, or a time in it is
+        impossible.
+        """
         sent_ns = self._sent.pop(token, None)
         if sent_ns is None:
             self.unexpected += 1

@@ -19,7 +19,7 @@ class _Group:
     """Modules that count one time."""
 
     def __init__(self, batching: LinkBatching) -> None:
-        """batching: of the link of its first module."""
+        """Begin without members; ``batching`` is that of the first module's link."""
         self.clock = EstimatedClock(batching)
         self.members = 0
 

@@ -42,7 +42,10 @@ class ClockCalibration:
     def observe(
         self, module: int, stamp_us: int, arrived_ns: int, batching: LinkBatching | None = None
     ) -> None:
-        """A stamp of a module came (modules of the rig only are measured)."""
+        """Note a stamp of a module; modules that are not of the rig are ignored.
+
+        Raises ``GatewayError`` if the module has restarted: its counts no longer belong together.
+        """
         if module not in self._expected:
             return
         if self._first_ns is None:
@@ -53,6 +56,7 @@ class ClockCalibration:
             clock = self._clocks[module] = EstimatedClock(batching)
         if clock.gateway_time(stamp_us, arrived_ns) and clock.restarts:
             raise GatewayError(f"module {module} restarted while the clocks were measured; begin again")
+        # Counts are read off at common instants: stamps of different modules never coincide.
         due_ns = self._first_ns + self._settling_ns + len(self._reads) * self._step_ns
         if arrived_ns >= due_ns:
             counts = {i: clock.count_us(due_ns) for i, clock in self._clocks.items()}
@@ -88,7 +92,7 @@ class ClockCalibration:
         return clock_table(runs, self._minute_s)
 
     def _runs(self, counted: Mapping[int, FloatArray], reference: int) -> list[dict[int, list[float]]]:
-        """By repetition and module: counts ``T_{i,k}`` at the reference's k-th minute, in minutes."""
+        """Return, by repetition and module, counts ``T_{i,k}`` at the reference's k-th minute, in minutes."""
         minute_us = self._minute_s * 1e6
         own = counted[reference]
         runs = []

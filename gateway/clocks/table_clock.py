@@ -21,7 +21,7 @@ class TableClocks:
     """The clocks of all modules of one table."""
 
     def __init__(self, table: ClockTable, *, is_compiled: bool = True) -> None:
-        """is_compiled: as for ``EstimatedClock``."""
+        """Begin without modules; ``is_compiled`` as for ``EstimatedClock``."""
         self.table = table
         self.is_compiled = is_compiled
         self.reference: TableClock | None = None
@@ -90,6 +90,7 @@ class TableClock:
         return self._estimate.instant_ns(round(corrected_us))
 
     def figures(self) -> ClockFigures:
+        """Return offset and rate; the rate adds what was estimated to that of the table."""
         figures = self._estimate.figures()
         table = self._clocks.table
         ppm = table.skew_ppm(self._module) if self._module in table.alpha else 0.0

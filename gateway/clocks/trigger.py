@@ -44,7 +44,7 @@ class TimerFigures:
         return math.sqrt(self.jitter_square_us2 / self.sent) if self.sent else 0.0
 
     def summary(self) -> dict[str, object]:
-        """For the health message."""
+        """Return counters and jitter, µs, for the health message."""
         return {
             "sent": self.sent,
             "unsent": self.unsent,
@@ -58,7 +58,7 @@ class TriggerTimer:
     """When to broadcast which number."""
 
     def __init__(self, interval_ns: float) -> None:
-        """Raises ``ValueError`` for an interval that is not positive."""
+        """Trigger every ``interval_ns``. Raises ``ValueError`` for an interval that is not positive."""
         if interval_ns <= 0:
             raise ValueError(f"triggers every {interval_ns} ns: the interval must be positive")
         self.figures = TimerFigures()
@@ -68,7 +68,7 @@ class TriggerTimer:
         self._triggers = 0
 
     def start(self, now_ns: int) -> None:
-        """The first sampling time is now."""
+        """Make ``now_ns`` the first sampling time."""
         self._start_ns, self._times = now_ns, 0
 
     @property
@@ -91,7 +91,7 @@ class TriggerTimer:
         return Trigger(number, planned_ns)
 
     def sent(self, trigger: Trigger, sent_ns: int) -> None:
-        """A trigger has left over a link."""
+        """Note when a trigger left over a link, for the figures of jitter."""
         figures, late_us = self.figures, (sent_ns - trigger.planned_ns) * 1e-3
         figures.sent += 1
         figures.jitter_square_us2 += late_us * late_us

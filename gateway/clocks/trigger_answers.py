@@ -42,7 +42,7 @@ class AnswerFigures:
     """Samples that a module took on its own timer, by module; their instants are estimated."""
 
     def summary(self) -> dict[str, object]:
-        """For the health message."""
+        """Return the counters, by module where they differ, for the health message."""
         return {
             "answered": _by_module(self.answered),
             "missed": _by_module(self.missed),
@@ -64,9 +64,10 @@ class TriggerAnswers:
     """Told of every trigger that left and of every sample that came, in order."""
 
     def __init__(self, module_ids: Sequence[int], patience_ns: int) -> None:
-        """
+        """Begin without triggers.
+
         module_ids: those whose missing answers are counted, once they have been heard.
-        patience_ns: how long after a trigger its answers are still taken.
+        patience_ns: how long after a trigger its answers are still accepted.
         """
         self.figures = AnswerFigures()
         self._module_ids = frozenset(module_ids)
@@ -81,9 +82,10 @@ class TriggerAnswers:
         self._link_of[module] = link
 
     def sent(self, number: int, link: str, sent_ns: int) -> None:
-        """A trigger has left."""
+        """Note that a trigger has left on a link, and which modules are to answer it."""
         self.expire(sent_ns)
         newest = number if self._newest is None else self._newest
+        # Numbers wrap; a link slower than the others may send a trigger a little older than the newest.
         ahead = (number - newest) % NUMBERS
         full = newest + (ahead if ahead < NUMBERS - _SLOW_LINK else ahead - NUMBERS)
         self._newest = max(newest, full)
@@ -95,7 +97,7 @@ class TriggerAnswers:
         self._outstanding.setdefault(link, {})[number] = _Outstanding(full, sent_ns, awaited)
 
     def answered(self, module: int, number: int, link: str, arrived_ns: int) -> Answer | None:
-        """A triggered sample came: what it belongs to, or None if nothing asked for it.
+        """Return the trigger that a sample answers; None if nothing asked for it.
 
         One that came before belongs to the same trigger as then.
         """
@@ -114,7 +116,7 @@ class TriggerAnswers:
         return Answer(trigger.full, trigger.sent_ns)
 
     def sampled_alone(self, module: int) -> None:
-        """A module took a sample on its own timer: no answers are awaited from it until one comes."""
+        """Note a sample that a module took on its own timer: no answer is awaited until one comes."""
         self._on_own_timer.add(module)
         self.figures.untriggered[module] += 1
 
