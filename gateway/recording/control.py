@@ -139,28 +139,28 @@ class RecordingControl:
     # What the service hands over, at once and in order.
 
     def chunk(self, chunk: Chunk, content: str) -> None:
-        """What a link gave, before it is parsed."""
+        """Record what a link gave, before it is parsed."""
         self._has_been_fed = True
         if self._recorder is not None and self._is_wanted:
             self._recorder.chunk(chunk, content)
 
     def sent(self, sent: SentChunk) -> None:
-        """What was written to a link."""
+        """Record what was written to a link."""
         if self._recorder is not None and self._is_wanted:
             self._recorder.sent(sent, self._links[sent.link])
 
     def skeleton(self, frame: SkeletonFrame, arrived_ns: int) -> None:
-        """What was made of it."""
+        """Record a pose that was solved, if the configuration asks for poses."""
         if self._recorder is not None and self._is_wanted and self._settings.recording.skeleton:
             self._recorder.skeleton(frame, arrived_ns)
 
     def event(self, name: str, data: Mapping[str, object]) -> None:
-        """What happened: links, resets, calibrations."""
+        """Record an event: a link's state, a reset, a calibration."""
         if self._recorder is not None and self._is_wanted:
             self._recorder.event(name, data, gateway_time_ns())
 
     def worn(self, suit: WornSuit) -> None:
-        """How the suit is worn from now on: recordings begun later tell of this one."""
+        """Note how the suit is worn from now on; recordings begun later contain this."""
         self._suit = suit
 
     @property
@@ -177,7 +177,7 @@ class RecordingControl:
     # What others ask.
 
     def status(self) -> dict[str, Any]:
-        """For the health message, the command line and requests."""
+        """Return state, file, sizes and losses, for the health message, the command line and requests."""
         recorder, files = self._recorder, self._files
         if recorder is None or files is None:
             return {"state": "off", **self._room()}
@@ -205,9 +205,10 @@ class RecordingControl:
         return status
 
     def _room(self) -> dict[str, Any]:
-        """Of the disk that recordings go to; nothing where that cannot be told."""
+        """Return the free space of the recordings' disk, MB; empty where it cannot be read."""
         folder = Path(self._settings.recording.folder).absolute()
         try:
+            # The folder is made with the first recording: until then its nearest parent is on the same disk.
             free_mb = free_bytes(next(each for each in (folder, *folder.parents) if each.exists())) / _MB
         except OSError:
             return {}
@@ -219,7 +220,9 @@ class RecordingControl:
         return None if self._recorder is None else self._recorder.balance
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-        """Requests ``recording/start`` (optional ``name``), ``stop``, ``status``, ``mark`` (``text``)."""
+        """Perform ``recording/start`` (optional ``name``), ``stop``, ``status`` or ``mark`` (``text``);
+        return the status.
+        """
         if verb not in self._verbs:
             raise GatewayError(f"there is no request 'recording/{verb}'{nearest(verb, self._verbs)}")
         known = {"start": {"name"}, "mark": {"text"}}.get(verb, set())
@@ -255,14 +258,14 @@ class RecordingControl:
         return self._files.path if self.is_recording and self._files is not None else None
 
     async def _asked(self, _data: Mapping[str, Any]) -> None:
-        """The status is the answer."""
+        """Do nothing: ``perform`` answers with the status."""
 
     def _keep_statistics(self) -> None:
         if self._recorder is not None:
             self._recorder.statistics(self._statistics(), gateway_time_ns())
 
     async def _watch(self) -> None:
-        """Restarts of modules as events, and counters now and then, for as long as it is recorded."""
+        """Record restarts of modules as they happen, and counters now and then, until the recording ends."""
         known = dict(self._restarts())
         due = time.monotonic() + STATISTICS_INTERVAL_S
         while self.is_recording:

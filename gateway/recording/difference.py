@@ -87,7 +87,7 @@ def _together(first: SkeletonArrays, second: SkeletonArrays) -> tuple[IntArray, 
 
 
 def _figures(name: str, errors_deg: FloatArray) -> SegmentDifference:
-    """errors_deg: (3, F) total, inclination, heading."""
+    """Return the figures of one segment from errors (3, F): total, inclination, heading, degrees."""
     known = errors_deg[:, ~np.isnan(errors_deg[0])]
     if known.shape[1] == 0:
         return SegmentDifference(name, 0, *(float("nan"),) * 6)

@@ -77,7 +77,10 @@ class SessionFiles:
         free: Callable[[Path], int] = free_bytes,
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Raises ``RecordingError`` when the folder cannot be written, or has no room."""
+        """Open the first file of a session.
+
+        Raises ``RecordingError`` if the folder cannot be written, or has no room.
+        """
         self._name = _checked(settings.name if name is None else name)
         self.folder = prepare_folder(settings, free)
         self.warning: str | None = None
@@ -104,7 +107,7 @@ class SessionFiles:
         return self.bytes_before + self._writer.size
 
     def write(self, topic: str, time_ns: int, data: bytes, metadata: Mapping[str, str]) -> None:
-        """One message."""
+        """Write one message to the file that is open."""
         self._writer.add(topic, time_ns, data, metadata)
 
     def flush(self) -> str | None:

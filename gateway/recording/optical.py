@@ -76,7 +76,7 @@ class _Fits:
         self._labels = markers.labels
 
     def add(self, index: int, fit: MarkerFit | None) -> None:
-        """Of one frame; None where it has no pose."""
+        """Keep the residuals of one frame; None: it has no pose."""
         if fit is None:
             return
         self.residuals[index], self.used[index] = fit.residuals, fit.used
@@ -86,7 +86,7 @@ class _Fits:
 
 
 def optical_settings(subject: str, rate_hz: float, url: str, name: str = "optical") -> GatewaySettings:
-    """A configuration that plays markers."""
+    """Return a configuration that plays a file of markers."""
     return solved_settings(subject, rate_hz, MarkersLinkSettings(name=LINK, url=url), name)
 
 
@@ -99,7 +99,7 @@ def write_solved_trial(
     progress: Progress | None = None,
     person: str | None = None,
 ) -> SolvedTrial:
-    """Every frame through the pipeline into ``target``.
+    """Solve every frame of a trial, and write poses and input to ``target``.
 
     person: whose markers, as in ``spellings``. Raises ``RecordingError`` when ``target`` exists, OSError as
     ``open`` does, ``FormatError`` where it is open whose markers are meant, ``GatewayError`` when it has
@@ -135,8 +135,11 @@ def write_published_trial(
     progress: Progress | None = None,
     person: str | None = None,
 ) -> SolvedTrial:
-    """The same recording with poses by the published method, which goes through the whole trial several
-    times; its suit has the virtual markers as that method found them. Raises as ``write_solved_trial``."""
+    """Write a trial with poses by the published method; raises as ``write_solved_trial``.
+
+    The method goes through the whole trial several times; the suit of the recording has the virtual markers
+    as it found them.
+    """
     markers, trial = _called(suit, subject, trial, source, person)
     began = time.process_time()
     observed = to_world(trial.columns(markers.labels), markers.vertical)
@@ -164,7 +167,7 @@ def write_both_ways_trial(
     progress: Progress | None = None,
     person: str | None = None,
 ) -> SolvedTrial:
-    """The same recording with poses that know what comes after a gap. Raises as ``write_solved_trial``."""
+    """Write a trial with poses that use what comes after a gap too; raises as ``write_solved_trial``."""
     markers, trial = _called(suit, subject, trial, source, person)
     chunks = list(trial_chunks(trial, _begun_ns(trial), LINK))
     receiver = MarkerFrames(markers)
@@ -188,7 +191,10 @@ def write_both_ways_trial(
 def _called(
     suit: WornSuit, subject: str, trial: MarkerTrial, source: Path, person: str | None
 ) -> tuple[BodyMarkers, MarkerTrial]:
-    """The subject's markers, and the trial that has some of them, called as the subject has them."""
+    """Return the subject's markers, and the trial with its markers named as the subject's.
+
+    Raises ``GatewayError`` if there are too few of them, or the rate is too high.
+    """
     if not trial.rate_hz <= _FASTEST_HZ:
         raise GatewayError(
             f"{source}: {trial.rate_hz:g} frames a second, of which {_FASTEST_HZ:g} are solved at the most: "

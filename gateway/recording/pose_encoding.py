@@ -87,7 +87,7 @@ def frame_messages(frame: SkeletonFrame) -> Iterator[tuple[str, bytes]]:
 
 
 def encode_markers_of(sequence: int, time_ns: int, fit: MarkerFit) -> bytes:
-    """As bytes; places are rounded to single precision, less than 0.1 µm at 1 m."""
+    """Return a fit as bytes; places are rounded to single precision, less than 0.1 µm at 1 m."""
     source = np.arange(len(fit.used), dtype=_SOURCE)
     for marker, whose in fit.renamed:
         source[marker] = whose

@@ -169,7 +169,7 @@ class Recording:
     """All parts of one session, from the one opened on. Every iterator reads anew, in the recorded order."""
 
     def __init__(self, path: str | Path) -> None:
-        """Raises ``RecordingError``."""
+        """Open a recording and read its metadata. Raises ``RecordingError``."""
         self.parts = RecordingParts(path)
         self.meta = RecordingMeta(self.parts)
 
@@ -179,7 +179,7 @@ class Recording:
         return self.parts.defect
 
     def items(self, progress: Progress | None = None) -> Iterator[RecordedItem]:
-        """Everything, in the order in which the gateway handled it."""
+        """Yield everything, in the order in which the gateway handled it."""
         return self._decoded("/", progress)
 
     def chunks(self, progress: Progress | None = None) -> Iterator[Chunk]:
@@ -204,7 +204,7 @@ class Recording:
         return (item for item in self._decoded(fmt.EVENTS) if isinstance(item, InputEvent))
 
     def statistics(self) -> Iterator[RecordedStatistics]:
-        """Counters and clock models, every so often."""
+        """Yield the counters and clock models, as written at intervals."""
         return (item for item in self._decoded(fmt.STATISTICS) if isinstance(item, RecordedStatistics))
 
     def skeleton_frames(self, progress: Progress | None = None) -> Iterator[SkeletonFrame]:

@@ -84,8 +84,12 @@ class Recorder:
         on_end: Callable[[str], None] | None = None,
         transforms: BodyTransforms | None = None,
     ) -> None:
-        """``on_end`` is called in the thread with the reason, when the recording ends by itself. transforms:
-        with it skeleton frames are written as transforms too, for viewers."""
+        """Start the thread that writes to ``sink``.
+
+        flush_s: longest time until what was handed over is safe on disk, s.
+        on_end: called in the thread with the reason, when the recording ends by itself.
+        transforms: with it, poses are written as transforms too, for viewers.
+        """
         self.counts = Counts()
         self.ended: str | None = None
         """Why nothing is recorded any more; None while it is."""
@@ -211,8 +215,9 @@ class Recorder:
         self._conclude(reason)
 
     def _write_queued(self) -> str | None:
-        """Everything in the queue to the file. Why the recording must end, or None."""
+        """Write everything in the queue to the file; return why the recording must end, or None."""
         begun = time.monotonic()
+        # Only swapping the queue needs the lock: the event loop never waits for the disk.
         with self._lock:
             items, self._queue = self._queue, deque()
             self._unflushed.update(_kind(topic) for topic, *_ in items)
@@ -227,6 +232,8 @@ class Recorder:
             self._queue_bytes -= written
         self.counts.longest_flush_s = max(self.counts.longest_flush_s, time.monotonic() - begun)
         return reason
+
+    # Counted as written only after the flush: until then a crash may still lose them.
 
     def _encoded(self, topic: str, data: bytes | SkeletonFrame) -> bytes:
         if isinstance(data, bytes):
@@ -255,5 +262,7 @@ class Recorder:
 
 
 def _kind(topic: str) -> str:
-    """``chunks``, ``sent``, ``skeleton``, ``markers``, ``tf``, ``events``, ``statistics``."""
+    """Return what a topic holds: ``chunks``, ``sent``, ``skeleton``, ``markers``, ``tf``, ``events``,
+    ``statistics``.
+    """
     return "chunks" if topic.startswith(fmt.DATAGRAMS) else topic.split("/", 2)[1]

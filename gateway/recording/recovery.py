@@ -34,7 +34,7 @@ def recover(source: Path, target: Path, progress: Callable[[int, int], None] | N
 
 
 def recover_in_place(source: Path, progress: Callable[[int, int], None] | None = None) -> Recovered:
-    """As ``recover``, in the place of ``source``, which stays as it is until the new file is whole."""
+    """Recover ``source`` in place; it stays as it is until the new file is whole. See ``recover``."""
     return _recovered(source, source, progress, replaces=True)
 
 

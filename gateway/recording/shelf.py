@@ -51,7 +51,9 @@ class Shelf:
     """Answers at any time, beside whatever is recorded."""
 
     def __init__(self, settings: RecordingSettings, under_way: Callable[[], Path | None]) -> None:
-        """under_way: the file that is being written, which is not listed; None: nothing is recorded."""
+        """Serve the folder of recordings; ``under_way`` returns the file being written, which is not listed,
+        or None.
+        """
         self._folder = Path(settings.folder)
         self._under_way = under_way
         self._exporting = asyncio.Lock()

@@ -32,6 +32,7 @@ class _Section:
         self.n_frames = 0
 
     def add(self, frames: list[ImuFrame]) -> None:
+        """Collect frames, and hand them to the smoother in batches."""
         self._waiting += frames
         self.n_frames += len(frames)
         if len(self._waiting) >= FRAMES_AT_A_TIME:
@@ -39,10 +40,11 @@ class _Section:
             self._waiting = []
 
     def ask(self, reset: Mapping[str, Any]) -> None:
-        """Of the poses from here on."""
+        """Note a reset; it holds for the poses from here on."""
         self._asked.append((self.n_frames, reset))
 
     def poses(self, progress: Progress | None) -> Iterator[SkeletonFrame]:
+        """Yield the smoothed poses of the section, with its resets applied."""
         self._smoother.add(self._waiting)
         for index, pose in enumerate(self._smoother.smoothed(progress)):
             while self._asked and self._asked[0][0] <= index:
@@ -59,7 +61,7 @@ class SmoothedPoses:
     """
 
     def __init__(self, pipeline: Pipeline) -> None:
-        """Raises ``GatewayError`` when the pipeline's method cannot be smoothed."""
+        """Prepare to smooth. Raises ``GatewayError`` when the pipeline's method cannot be smoothed."""
         self._pipeline = pipeline
         self._temporary = tempfile.TemporaryDirectory(prefix="mocap-smoothing-")
         self._completed = array("I")
@@ -77,7 +79,7 @@ class SmoothedPoses:
         self._temporary.cleanup()
 
     def take(self, item: LinkItem | None) -> None:
-        """The next input; None: one that cannot be read, which has no poses."""
+        """Take the next input; None: one that cannot be read, which completes no poses."""
         frames: list[ImuFrame] = []
         if isinstance(item, Chunk):
             frames = self._pipeline.imu_frames(item)
@@ -88,12 +90,13 @@ class SmoothedPoses:
             self._sections[-1].ask(item.data)
         elif item is not None and item.name == CALIBRATED_EVENT:
             with contextlib.suppress(GatewayError):  # with another suit it may not be possible
+                # A calibration changes the model, so smoothing must not go across it.
                 self._pipeline.event(item.name, item.data)
                 self._begin_section()
         self._completed.append(len(frames))
 
     def groups(self, progress: Progress | None = None) -> Iterator[list[SkeletonFrame]]:
-        """For every input the poses that it completed."""
+        """Return, for every input in turn, the poses that it completed."""
         poses = self.poses(progress)
         return (list(islice(poses, count)) for count in self._completed)
 

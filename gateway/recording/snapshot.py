@@ -56,7 +56,7 @@ def attachments_of(settings: GatewaySettings, suit: WornSuit) -> dict[str, bytes
 
 
 def without_secrets(plain: Any, key: str = "") -> Any:
-    """JSON values with whatever is named like a secret, and user names and passwords in URLs, taken out."""
+    """Return JSON values without secrets: keys named like one, and user names and passwords in URLs."""
     if isinstance(plain, dict):
         return {name: without_secrets(value, name) for name, value in plain.items()}
     if isinstance(plain, list):
@@ -77,7 +77,7 @@ def _without_credentials(text: str) -> str:
 
 
 def host() -> dict[str, object]:
-    """Versions and machine: what bit-identical results may depend on."""
+    """Return versions and machine: what bit-identical results may depend on."""
     return {
         "gateway": gateway.__version__,
         "python": platform.python_version(),
@@ -125,7 +125,7 @@ def decode_suit(text: bytes) -> WornSuit:
 
 
 def _plain(value: Any) -> Any:
-    """JSON values; numbers of arrays in their shortest exact form."""
+    """Return a value as JSON values; numbers of arrays keep their shortest exact form."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = dataclasses.fields(value)
         return {field.name: _plain(getattr(value, field.name)) for field in fields if field.init}

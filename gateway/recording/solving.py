@@ -203,8 +203,11 @@ def _solved_session(solved_from: str, attachments: Mapping[str, bytes]) -> str:
 def _poses_by_message(
     recording: Recording, source: Source, progress: Progress | None
 ) -> Iterator[tuple[Callable[[RecordedMessage], list[SkeletonFrame]], Progress | None]]:
-    """What gives the frames that each message completes, to be asked in their order; and who is to be told of
-    that second going through them: for smoothed poses they have been gone through before."""
+    """Yield a function that gives the frames each message completes, and who is told of progress meanwhile.
+
+    The function is called with every message, in order. For smoothed poses all messages are gone through
+    before, and progress has then been reported.
+    """
     pipeline = recording_pipeline(recording, source)
     if not source.smoothed:
         yield partial(_fed, pipeline), progress
@@ -248,14 +251,14 @@ def _with_progress(recording: Recording, progress: Progress | None) -> Iterator[
 
 
 def _metadata(recording: Recording, topic: str) -> dict[str, str]:
-    """Of a link's channel; none of others."""
+    """Return the metadata of a link's channel; empty for other topics."""
     link = fmt.link_of(topic)
     return {} if link is None else {"link": link, "framing": recording.meta.links[link]}
 
 
 @contextlib.contextmanager
 def with_recorded_table(recording: Recording, settings: GatewaySettings) -> Iterator[GatewaySettings]:
-    """The settings, naming for a while a file with the clock table that the recording brings along."""
+    """Yield the settings, naming a temporary file with the recording's clock table if they need one."""
     text = recording.meta.clock_table
     if settings.clock.table is None or text is None:
         yield settings

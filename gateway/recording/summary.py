@@ -62,6 +62,7 @@ class _Figures:
     statistics: dict[str, Any] = field(default_factory=dict)
 
     def saw(self, first_ns: int, last_ns: int) -> None:
+        """Extend the span by the times of one more part, ns."""
         self.first_ns = first_ns if self.first_ns is None else min(first_ns, self.first_ns)
         self.last_ns = last_ns if self.last_ns is None else max(last_ns, self.last_ns)
 
@@ -139,7 +140,8 @@ def _by_index(file: RecordingFile, figures: _Figures) -> bool:
 
 
 def _newest_statistics(stream: BinaryIO, summary: Summary) -> dict[str, Any] | None:
-    """From the last chunk that has some; None: no chunk has. Raises one of ``DAMAGE``."""
+    """Return the last statistics in the file; None: it has none. Raises one of ``DAMAGE``."""
+    # The index names the chunks that hold statistics: one chunk is read instead of the whole file.
     numbers = {channel.id for channel in summary.channels.values() if channel.topic == fmt.STATISTICS}
     holding = [index for index in summary.chunk_indexes if numbers & index.message_index_offsets.keys()]
     if not holding:
@@ -170,7 +172,7 @@ def _plain(data: bytes) -> dict[str, Any]:
 
 
 def _modules(statistics: dict[str, Any]) -> dict[str, dict[str, int]]:
-    """Counts by module id; what is not told as it should be is left out."""
+    """Return counts by module id, without entries that are malformed."""
     modules = statistics.get("modules")
     if not isinstance(modules, dict):
         return {}

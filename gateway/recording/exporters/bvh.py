@@ -21,7 +21,7 @@ _DECIMALS = 6
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
-    """Raises ``OSError``."""
+    """Write a take as BVH. Raises ``OSError``."""
     skeleton = take.skeleton
     root = int(np.flatnonzero(skeleton.parents < 0)[0])
     order: list[int] = []
@@ -37,7 +37,7 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
 def _joint_lines(
     skeleton: Skeleton, segment: int, indent: str, units_per_m: float, order: list[int]
 ) -> list[str]:
-    """The block of a segment and all it carries; ``order`` gathers the segments as their channels stand."""
+    """Return the lines of a segment and all it carries; append segments to ``order`` by channel."""
     order.append(segment)
     is_root = skeleton.parents[segment] < 0
     offset = np.zeros(3) if is_root else skeleton.offsets[segment] * units_per_m
@@ -60,7 +60,7 @@ def _joint_lines(
 
 
 def _euler_deg(take: Take, segment: int) -> FloatArray:
-    """(F, 3) rotation of a segment in its parent, degrees, continuous where that is possible."""
+    """Return the rotation of a segment in its parent (F, 3), Euler angles, degrees, unwrapped."""
     own, parent = rotation(take.q_wb[:, segment]), take.skeleton.parents[segment]
     local = own if parent < 0 else rotation(take.q_wb[:, parent]).inv() * own
     angles: FloatArray = np.degrees(np.unwrap(local.as_euler(ORDER), axis=0))

@@ -15,10 +15,13 @@ _UNITS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
-    """Points ``<segment>``, ``<segment>_tip`` and, in degrees, one a joint (listed in POINT:ANGLES), the
-    markers that the poses were made from, with their distances from the body as residuals (negative: not
-    seen), and the segments' 4 × 4 matrices under ROTATION. Raises ``GatewayError`` without the extra
-    ``export``."""
+    """Write a take as C3D. Raises ``GatewayError`` without the extra ``export``.
+
+    Points are ``<segment>``, ``<segment>_tip``, one a joint in degrees (listed in POINT:ANGLES), and the
+    markers
+    that the poses were made from, with their distances from the body as residuals (negative: not seen). The
+    segments' 4 × 4 matrices stand under ROTATION.
+    """
     try:
         import ezc3d  # noqa: PLC0415 - an extra
     except ImportError:
@@ -51,13 +54,13 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
 
 
 def _homogeneous(points: FloatArray) -> FloatArray:
-    """(F, N, 3) to the library's (4, N, F)."""
+    """Return points (F, N, 3) in the library's layout (4, N, F)."""
     ones = np.ones((*points.shape[:2], 1))
     return np.concatenate([points, ones], axis=2).transpose(2, 1, 0)
 
 
 def _matrices(take: Take, units_per_m: float) -> FloatArray:
-    """(4, 4, S, F): rotation, and place of the proximal joint, of every segment."""
+    """Return rotation and place of the proximal joint of every segment, (4, 4, S, F)."""
     frames, segments = take.q_wb.shape[:2]
     pose = np.zeros((frames, segments, 4, 4))
     pose[..., :3, :3] = rotation(take.q_wb).as_matrix().reshape(frames, segments, 3, 3)

@@ -14,7 +14,10 @@ _SCENE_EVERY_NS = 5_000_000_000
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
-    """Raises ``GatewayError`` without the extra ``foxglove`` and for other axes or units, ``OSError``."""
+    """Write a take as MCAP for Foxglove.
+
+    Raises ``GatewayError`` without the extra ``foxglove`` and for other axes or units, ``OSError``.
+    """
     check_axes(take, units_per_m, "a file for Foxglove")
     encoder = FoxgloveEncoder(take.skeleton)
     with MessageFile(path, "") as file:

@@ -24,7 +24,7 @@ _SKIN_COLOUR = [0.35, 0.6, 0.85, 1.0]
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
-    """Raises ``GatewayError`` without the extra ``export``, ``OSError``."""
+    """Write a take as binary glTF. Raises ``GatewayError`` without the extra ``export``, ``OSError``."""
     try:
         import pygltflib  # noqa: PLC0415 - an extra
     except ImportError:
@@ -45,7 +45,7 @@ class _Document:
         self._blob = bytearray()
 
     def add_skeleton(self, take: Take, units_per_m: float) -> None:
-        """A node for every segment, at rest as in BVH; the skin that they move."""
+        """Add a node for every segment, at rest as in BVH, and the skin that they move."""
         skeleton, library = take.skeleton, self._library
         for s, name in enumerate(skeleton.segment_names):
             children = np.flatnonzero(skeleton.parents == s).tolist()
@@ -61,9 +61,10 @@ class _Document:
         )
 
     def add_body(self, take: Take, units_per_m: float) -> None:
-        """The bones as one skinned mesh, and the scene."""
+        """Add the bones as one skinned mesh, and the scene."""
         library = self._library
         positions, normals, joints = _bone_mesh(take, units_per_m)
+        # A bone is rigid: each corner follows one joint, with full weight.
         weights = np.zeros((len(positions), 4), np.float32)
         weights[:, 0] = 1.0
         attributes = library.Attributes(
@@ -140,7 +141,7 @@ class _Document:
 
 
 def _at_rest(take: Take) -> FloatArray:
-    """(S, 3) proximal joints with all rotations zero, m."""
+    """Return the proximal joints (S, 3) with all rotations zero, m."""
     skeleton = take.skeleton
     places = np.zeros((skeleton.n_segments, 3))
     for s, parent in enumerate(skeleton.parents):
@@ -152,12 +153,13 @@ def _at_rest(take: Take) -> FloatArray:
 def _bone_mesh(
     take: Take, units_per_m: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16]]:
-    """Corners of all faces at rest, their normals, and the joint that moves each: flat shading."""
+    """Return the corners of all faces at rest, their normals, and the joint that moves each."""
     bones, rest = bones_of(take.skeleton), _at_rest(take)
     turns = rotation(bones.q_segment_from_bone)
     corners, joints = [], []
     for b, segment in enumerate(bones.segment):
         shape = turns[b].apply(BONE_VERTICES * bones.scale[b]) + rest[segment]
+        # Corners are not shared between faces, so that each face keeps its own normal: flat shading.
         corners.append(shape[BONE_FACES].reshape(-1, 3))
         joints.append(np.full(BONE_FACES.size, segment))
     positions = np.concatenate(corners) * units_per_m
@@ -170,10 +172,11 @@ def _bone_mesh(
 
 
 def _local_xyzw(take: Take, segment: int) -> FloatArray:
-    """(F, 4) rotation in the parent, x y z w, on one side of the sphere from frame to frame."""
+    """Return rotations (F, 4) in the parent, x y z w; neighbouring frames have the same sign."""
     own, parent = rotation(take.q_wb[:, segment]), take.skeleton.parents[segment]
     local = own if parent < 0 else rotation(take.q_wb[:, parent]).inv() * own
     q: FloatArray = local.as_quat()
+    # q and -q are one rotation, but a player interpolates components: a flip of sign would spin the segment.
     flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0))
     q[1:] *= flips[:, None]
     return q

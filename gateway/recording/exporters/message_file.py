@@ -89,14 +89,14 @@ def check_axes(take: Take, units_per_m: float, what: str) -> None:
 
 
 def poses_of(take: Take) -> Iterator[Pose]:
-    """Poses as they were recorded: nothing is interpolated."""
+    """Yield poses at the instants that were recorded; nothing is interpolated."""
     recorded = take.recorded
     rows = zip(recorded.time_ns.tolist(), recorded.q_wb, recorded.p_w, strict=True)
     return (Pose(time_ns, q_wb, p_w) for time_ns, q_wb, p_w in rows)
 
 
 def samples_of(recording: Recording) -> Iterator[ModuleSample]:
-    """Samples of all inertial modules, about in order of time; none for other sources."""
+    """Yield the samples of all inertial modules, roughly in order of time; none for other sources."""
     if not recording.meta.has_suit or recording.meta.solved_by:
         return
     pipeline = recording_pipeline(recording, recorded_source(recording))

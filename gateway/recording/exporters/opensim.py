@@ -18,7 +18,7 @@ _VERSION = "4.5"
 
 
 def write_sto(take: Take, path: Path, _units_per_m: float) -> None:
-    """Raises ``OSError``."""
+    """Write orientations of a take for OpenSense. Raises ``OSError``."""
     head = [
         f"DataRate={take.rate_hz:.9f}".rstrip("0").rstrip("."),
         "DataType=Quaternion",
@@ -35,10 +35,11 @@ def write_sto(take: Take, path: Path, _units_per_m: float) -> None:
 
 
 def write_mot(take: Take, path: Path, units_per_m: float) -> None:
-    """Angles in degrees, and the root's place: coordinates of the body's own model, those that only
-    Rajagopal's has, and our angles that are in neither. A model passes over what it does not know.
+    """Write joint angles, degrees, and the root's place for OpenSim. Raises ``OSError``.
 
-    Raises ``OSError``.
+    Columns are the coordinates of the body's own model, those that only Rajagopal's model has, and angles
+    that
+    are in neither. OpenSim ignores columns that a model does not know.
     """
     columns, values = ["time"], [take.time_s]
     known = [*model_columns(take, units_per_m), *rajagopal_columns(take)]
@@ -61,7 +62,7 @@ def write_mot(take: Take, path: Path, units_per_m: float) -> None:
 
 
 def _other_angles(take: Take, known: set[str]) -> Columns:
-    """Our angles, degrees, but for those that have a name in the model."""
+    """Return the take's own angles, degrees, that have no name in either model."""
     columns: Columns = []
     for joint, angle, name in take.angle_names:
         series = take.joint_angles[:, joint, angle]

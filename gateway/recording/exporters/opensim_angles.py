@@ -51,8 +51,11 @@ class Turns(NamedTuple):
 
 
 def model_turns(skeleton: Skeleton) -> list[Turns]:
-    """Of every segment, the root in the ground first. Where Rajagopal's model has the same coordinate it has
-    its name; a joint without Cardan angles of its own turns about z, x, y."""
+    """Return the turns of every segment, the root in the ground first.
+
+    A coordinate that Rajagopal's model has too bears its name; a joint without Cardan angles of its own turns
+    about z, x, y.
+    """
     described = {joint.distal: joint for joint in skeleton.joints if _is_cardan(joint, skeleton)}
     turns = []
     for s, name in enumerate(skeleton.segment_names):
@@ -89,7 +92,8 @@ def _described(segment: int, joint: Joint) -> Turns:
 
 
 def pelvis_origin(skeleton: Skeleton) -> FloatArray:
-    """(3,) m from the root's joint to where Rajagopal's model, with legs as long, has its pelvis' origin.
+    """Return the place (3,) of the pelvis' origin of Rajagopal's model with legs as long, m from the root's
+    joint.
 
     Zero for a body without legs.
     """
@@ -105,7 +109,7 @@ def pelvis_origin(skeleton: Skeleton) -> FloatArray:
 
 
 def model_columns(take: Take, units_per_m: float) -> Columns:
-    """All coordinates of the body's own model: degrees, and the root's place."""
+    """Return all coordinates of the body's own model: angles, degrees, and the root's place."""
     skeleton = take.skeleton
     columns: Columns = []
     for turns in model_turns(skeleton):
@@ -125,7 +129,7 @@ def model_columns(take: Take, units_per_m: float) -> Columns:
 
 
 def rajagopal_columns(take: Take) -> Columns:
-    """Arms, elbows and ankles in degrees, as Rajagopal's model comes nearest to the pose.
+    """Return arms, elbows and ankles, degrees, where Rajagopal's model comes nearest to the pose.
 
     Its elbow and knee have no carrying angle and no adduction: upper arms turn about their length so that
     forearms lie right, and feet lie as they do whatever the shank of the model does.
@@ -169,20 +173,23 @@ def _unit(vector: FloatArray) -> FloatArray:
 
 
 def _turn_down(along: FloatArray) -> Rotation:
-    """The smallest turn of a direction (3,) to -y: along our arm bones y leads from joint to joint, theirs
-    does not quite."""
+    """Return the smallest rotation of a direction (3,) to -y.
+
+    In our bodies y leads along an arm bone from joint to joint; in Rajagopal's model it deviates a little.
+    """
     across = np.cross(along, [0.0, -1.0, 0.0])
     sine = float(np.linalg.norm(across))
     return Rotation.from_rotvec(np.arctan2(sine, -along[1]) * across / sine)
 
 
 def _turned_about(axes: Sequence[FloatArray], turned: Rotation, stiffness: float) -> FloatArray:
-    """(F, n) rad: of turns about moving axes, one after another, that come nearest to rotations (F,).
+    """Return angles (F, n), rad, about moving axes in turn, whose product comes nearest to rotations (F,).
 
     stiffness: draws the first of them to zero, 1/rad² against the squared distance from the rotation.
     """
     n = len(axes)
     angles = np.zeros((len(turned), n))
+    # The flexion of a ZXY decomposition is near the solution, so that few steps of Gauss-Newton suffice.
     angles[:, -2] = turned.as_euler("ZXY")[:, 0]
     drawn = np.diag([stiffness] + [_DAMPING] * (n - 1))
     for _ in range(_STEPS):

@@ -26,8 +26,10 @@ _JOINT_RADIUS_M = 0.015
 
 
 def write_osim(take: Take, path: Path, _units_per_m: float) -> None:
-    """Lengths in metres, as OpenSim has them. Raises ``OSError``, and ``GatewayError`` for a body of which no
-    table knows the masses."""
+    """Write the body as an OpenSim model; lengths in metres, whatever the other exports use.
+
+    Raises ``OSError``, and ``GatewayError`` for a body of which no table has the masses.
+    """
     kg = USUAL_KG if take.mass_kg is None else take.mass_kg
     inertia = body_inertia(take.skeleton, kg)
     markers = None if take.recording is None else take.recording.meta.suit.markers
@@ -49,12 +51,12 @@ def write_osim(take: Take, path: Path, _units_per_m: float) -> None:
 
 
 def body_name(segment: str) -> str:
-    """What a segment's body is called."""
+    """Return the name of a segment's body in the model."""
     return BODIES.get(segment, segment)
 
 
 def _origins(take: Take) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """(S, 3) m from each segment's joint to its body's origin: zero but for the root."""
+    """Return vectors (S, 3) from each segment's joint to its body's origin, m; zero but for the root."""
     origins = np.zeros((take.skeleton.n_segments, 3))
     origins[take.skeleton.parents < 0] = pelvis_origin(take.skeleton)
     return origins

@@ -34,7 +34,10 @@ _LATCHED = """- history: keep_last
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
-    """Raises ``GatewayError`` for other axes or units than those of ROS, ``OSError``."""
+    """Write a take as a bag of ROS 2.
+
+    Raises ``GatewayError`` for other axes or units than ROS has, ``OSError``.
+    """
     check_axes(take, units_per_m, "a bag of ROS 2")
     with MessageFile(path, "ros2") as file:
         body = _Body(file, take)
@@ -43,6 +46,8 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
         modules = _Modules(file, take)
         if take.recording is not None:
             for sample in samples_of(take.recording):
+                # Players of bags expect messages about in order of time, so poses are merged with the
+                # samples.
                 while pose is not None and pose.time_ns <= sample.time_ns:
                     body.add(*pose)
                     pose = next(poses, None)

@@ -61,17 +61,17 @@ def _marker_columns(take: Take, units_per_m: float, unit: str) -> Iterator[tuple
 
 
 def write_csv(take: Take, path: Path, units_per_m: float) -> None:
-    """Raises ``OSError``."""
+    """Write a take as CSV. Raises ``OSError``."""
     write_csv_columns(dict(columns(take, units_per_m)), path)
 
 
 def write_parquet(take: Take, path: Path, units_per_m: float) -> None:
-    """Raises ``GatewayError`` without the extra ``export``, ``OSError``."""
+    """Write a take as Parquet. Raises ``GatewayError`` without the extra ``export``, ``OSError``."""
     write_parquet_columns(dict(columns(take, units_per_m)), path)
 
 
 def write_csv_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """Columns of one length by name. Raises ``OSError``."""
+    """Write columns of equal length, by name, as CSV. Raises ``OSError``."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(table)
@@ -79,7 +79,10 @@ def write_csv_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
 
 
 def write_parquet_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """Columns of one length by name. Raises ``GatewayError`` without the extra ``export``, ``OSError``."""
+    """Write columns of equal length, by name, as Parquet.
+
+    Raises ``GatewayError`` without the extra ``export``, ``OSError``.
+    """
     try:
         import pyarrow  # noqa: PLC0415 - an extra
         import pyarrow.parquet  # noqa: PLC0415
@@ -94,7 +97,7 @@ def _at(values: NDArray[Any], row: NDArray[np.int64]) -> NDArray[Any]:
 
 
 def _cells(values: NDArray[Any]) -> list[str]:
-    """As texts; a float keeps nine significant digits, what is not known is empty."""
+    """Return values as texts; a float has nine significant digits, NaN becomes an empty cell."""
     if values.dtype.kind != "f":
         return [str(value) for value in values.tolist()]
     return ["" if math.isnan(value) else f"{value:.9g}" for value in values.tolist()]

@@ -93,7 +93,7 @@ def markers_of(take: Take) -> TakenMarkers | None:
 
 
 def rotated(q_wb: FloatArray, vectors: FloatArray) -> FloatArray:
-    """(F, S, 3): vectors (S, 3) in segment axes, in world axes at every frame of q_wb (F, S, 4)."""
+    """Return vectors (S, 3) of segment axes in world axes, (F, S, 3), by orientations (F, S, 4)."""
     frames, segments = q_wb.shape[:2]
     turned = rotation(q_wb).apply(np.broadcast_to(vectors, (frames, segments, 3)).reshape(-1, 3))
     world: FloatArray = turned.reshape(frames, segments, 3)
@@ -101,12 +101,14 @@ def rotated(q_wb: FloatArray, vectors: FloatArray) -> FloatArray:
 
 
 def rotation(q: FloatArray) -> Rotation:
-    """Quaternions (…, 4) as one flat ``Rotation``."""
+    """Return quaternions (…, 4) as one flat ``Rotation``."""
     return Rotation.from_quat(q.reshape(-1, 4), scalar_first=True)
 
 
 def take_of(arrays: SkeletonArrays, name: str, axes: Axes, recording: Recording | None = None) -> Take:
-    """A take of a recorded result. Raises ``GatewayError`` where the root is never known, or with one frame.
+    """Make a take of a recorded result.
+
+    Raises ``GatewayError`` with one frame, or if the root is never known.
 
     A segment that is never known, as its module was dead, keeps the neutral posture against its parent.
     Frames that were not recorded, and orientations that were not known, are interpolated between their
@@ -152,7 +154,7 @@ def take_of(arrays: SkeletonArrays, name: str, axes: Axes, recording: Recording 
 def _filled_orientations(
     q_wb: FloatArray, index: IntArray, grid: IntArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Orientations at every instant of the grid, and which were put in."""
+    """Return orientations at every instant of the grid, and which of them were filled in."""
     complete = np.empty((len(grid), q_wb.shape[1], 4))
     filled = np.ones(complete.shape[:2], np.bool_)
     for s in range(q_wb.shape[1]):
@@ -164,12 +166,14 @@ def _filled_orientations(
             complete[:, s] = values.as_quat(scalar_first=True)
         else:
             complete[:, s] = Slerp(at, values)(np.clip(grid, at[0], at[-1])).as_quat(scalar_first=True)
+        # Interpolation goes through a rotation and back: known values are written again so that they stay
+        # exact.
         complete[at, s] = q_wb[known, s]
     return complete, filled
 
 
 def _root_path(arrays: SkeletonArrays, index: IntArray, grid: IntArray) -> FloatArray:
-    """(F, 3) of the root's joint, m: straight lines where it was not known; the origin if it never was."""
+    """Return the root's path (F, 3), m, interpolated linearly; the origin if it was never known."""
     root = arrays.p_w[:, int(np.flatnonzero(arrays.skeleton.parents < 0)[0])]
     known = ~np.isnan(root[:, 0])
     if not known.any():
@@ -178,7 +182,7 @@ def _root_path(arrays: SkeletonArrays, index: IntArray, grid: IntArray) -> Float
 
 
 def _chained(skeleton: Skeleton, q_wb: FloatArray, root: FloatArray) -> FloatArray:
-    """(F, S, 3) by forward kinematics, m."""
+    """Return the proximal joints (F, S, 3) by forward kinematics, m."""
     p_w = np.empty((*q_wb.shape[:2], 3))
     for s, parent in enumerate(skeleton.parents):
         if parent < 0:

@@ -13,8 +13,12 @@ _UNITS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
-    """Markers ``<segment>`` (proximal joint) and ``<segment>_tip``, then those that the poses were made from,
-    by their own names; empty where one was not seen. Raises ``OSError``."""
+    """Write a take as TRC. Raises ``OSError``.
+
+    Markers are ``<segment>`` (proximal joint), ``<segment>_tip``, then those that the poses were made from,
+    by their
+    own names; a cell is empty where one was not seen.
+    """
     names = [*take.skeleton.segment_names, *(f"{name}_tip" for name in take.skeleton.segment_names)]
     places = [take.p_w, take.tips_w]
     if (markers := markers_of(take)) is not None:
