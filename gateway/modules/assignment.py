@@ -41,7 +41,7 @@ class Wardrobe:
     """Who has which id, and which id each segment wants, while modules are assigned one after another."""
 
     def __init__(self, listed: Mapping[str, Any]) -> None:
-        """``listed``: answer of the verb ``list``, without conflicts."""
+        """Index the answer of the verb ``list``, which must have no conflicts."""
         self.segments: dict[str, int] = dict(listed["segments"])
         self.ids: dict[str, int] = {
             module["unique_id"]: module["module"]

@@ -128,7 +128,7 @@ class MakersModules:
     """All devices of other makers that take commands."""
 
     def __init__(self, on_sent: Callable[[SentChunk], None] = lambda _sent: None) -> None:
-        """on_sent: told of everything that was written to a link."""
+        """Begin without links; ``on_sent`` is called with everything that was written to one."""
         self._on_sent = on_sent
         self._sources: dict[str, MakersSource] = {}
         self._links: dict[str, Link] = {}

@@ -98,7 +98,9 @@ class _Swing:
         return swing / max(math.sqrt(self._usual), _STILL) if swing > LEAST_SWING else 0.0
 
     def _learn(self, deviation: float, step_s: float, is_familiar: bool) -> None:
-        """What is usual: at first the mean of all, later it follows slowly, and a shake hardly at all."""
+        """Follow the usual deviation: at first the mean of all, later slowly, and hardly at all during a
+        shake.
+        """
         self._n_usual += 1
         gain = -math.expm1(-step_s / _USUAL_TAU_S)
         if is_familiar:

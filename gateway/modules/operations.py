@@ -69,7 +69,7 @@ class ModuleOperations:
         journal: Journal,
         makers: MakersModules | None = None,
     ) -> None:
-        """makers: modules of others, which can be listed, identified, read and set, and no more."""
+        """Offer the verbs; modules of ``makers`` can be listed, identified, read and set, and no more."""
         self.makers = makers or MakersModules()
         self.configurator = Configurator(client)
         self._stream = stream
@@ -360,7 +360,7 @@ class ModuleOperations:
         return self.configurator.roster or await self._discover()
 
     async def _find(self, name: str) -> Device:
-        """From what is known, and where that does not tell, from a new discovery. Raises ``DeviceError``."""
+        """Return a device that is known, or else from a new discovery. Raises ``DeviceError``."""
         if self.configurator.roster is not None:
             try:
                 return self.configurator.roster.find(name)

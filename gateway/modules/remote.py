@@ -45,7 +45,9 @@ class RemoteOperations:
         self._settings = settings
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> Plain:
-        """As ``ModuleOperations.perform``; whatever went wrong there is a ``RequestError`` here."""
+        """Perform a verb as ``ModuleOperations.perform`` does; whatever failed there raises ``RequestError``
+        here.
+        """
         transaction = secrets.token_hex(8)
         request = orjson.dumps({**data, "transaction": transaction})
         longest_s = _EXPORT_S if verb == "export" else _ANSWER_S

@@ -156,7 +156,7 @@ async def _open(link: ReconnectingLink) -> None:
 
 @contextlib.contextmanager
 def _unsaid(logger: logging.Logger) -> Iterator[None]:
-    """Without the warnings of a logger: what it warns of is raised here."""
+    """Silence the warnings of a logger meanwhile: what it would warn of is raised by the caller."""
     level = logger.level
     logger.setLevel(logging.ERROR)
     try:
