@@ -111,9 +111,10 @@ def _across(rates: FloatArray, axis: FloatArray) -> FloatArray:
 
 
 def _signs_matched(found: HingeAxes, w1: FloatArray, w2: FloatArray, interval_s: float) -> HingeAxes:
-    """Of ±j₂ the one that fits: across the axis both see the same vector, turned by the joint's angle.
+    """Return the axes with the sign of the second that fits.
 
-    With the right sign that angle changes as the rates about the axes differ.
+    Across the axis both segments see the same vector, turned by the joint's angle. With the right sign that
+    angle changes as the rates about the axes differ.
     """
     coherence = []
     for sign in (1.0, -1.0):
@@ -121,6 +122,7 @@ def _signs_matched(found: HingeAxes, w1: FloatArray, w2: FloatArray, interval_s:
         bend = np.cumsum(w1 @ found.first - w2 @ second) * interval_s
         angle = _angle_across(w1, found.first) - _angle_across(w2, second) + bend
         weight = _across(w1, found.first) * _across(w2, second)
+        # The phasor adds up where angle and rates agree, and averages out for the wrong sign.
         coherence.append(abs(np.sum(weight * np.exp(1j * angle))))
     return found if coherence[0] >= coherence[1] else HingeAxes(found.first, -found.second, found.residual)
 

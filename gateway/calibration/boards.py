@@ -64,7 +64,7 @@ class BoardView:
 
 
 def board_of(text: str) -> Board:
-    """A board as the command line writes it. Raises ``GatewayError`` with an example."""
+    """Return a board as the command line writes it. Raises ``GatewayError`` with an example."""
     plain = re.fullmatch(r"checkerboard:(\d+)x(\d+):([\d.]+)", text)
     marked = re.fullmatch(r"charuco:(\d+)x(\d+):([\d.]+):([\d.]+):(\w+)", text)
     try:
@@ -92,7 +92,7 @@ def board_of(text: str) -> Board:
 
 
 def find_board(board: Board, picture: Picture) -> BoardView | None:
-    """The board in a picture; None where it is not seen, or (checkerboard) not whole."""
+    """Return the board's corners in a picture; None: not seen, or a checkerboard that is not whole."""
     grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
     if board.kind == "charuco":
         places, corners, _, _ = cv2.aruco.CharucoDetector(board.charuco).detectBoard(grey)
@@ -127,7 +127,7 @@ def _checkerboard(grey: Picture, size: tuple[int, int]) -> FloatArray | None:
 
 
 def _begins_dark(board: Board, pixels: FloatArray, grey: Picture) -> bool:
-    """Whether the first square between inner corners is a dark one: so the corners are counted."""
+    """Return whether the first square between inner corners is dark: from there corners are counted."""
     grid = pixels.reshape(board.rows, board.columns, 2)
     first, beside = (grid[:2, x : x + 2].reshape(4, 2).mean(axis=0) for x in (0, 1))
     height, width = grey.shape[:2]
@@ -140,7 +140,7 @@ def _begins_dark(board: Board, pixels: FloatArray, grey: Picture) -> bool:
 
 
 def draw_board(picture: Picture, view: BoardView | None, expected: FloatArray | None = None) -> Picture:
-    """The picture with the corners found (circles) and, in red, where the calibration expects them (n, 2)."""
+    """Return the picture with the corners found (circles) and those that the calibration expects (red)."""
     drawn = picture.copy()
     size = max(round(picture.shape[0] / 200), 2)
     if view is None:

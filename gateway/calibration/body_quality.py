@@ -33,7 +33,10 @@ _ROTATION = (3.5, 9.0)  # degrees
 def judge_module(
     found: ModuleFindings, expected: set[str], solution: Solution, segment: int, suit: WornSuit
 ) -> Quality:
-    """expected: names of the movements that were done and should have turned this segment."""
+    """Return how well one module is calibrated, with reasons in words.
+
+    expected: names of the movements that were done and should have turned this segment.
+    """
     name = found.segment.replace("_", " ")
     findings = [*_heard(found, name), *_still(found, name), *_field(found, name)]
     for step in sorted(expected):

@@ -84,7 +84,7 @@ class BodyResult:
         ]
 
     def as_json(self) -> dict[str, Any]:
-        """For scripts and requests: degrees and metres, named so."""
+        """Return the result for scripts and requests, in degrees and metres."""
         return {
             "score": round(self.score, 3),
             "facing_deg": round(float(np.degrees(self.facing)), 1),

@@ -70,14 +70,14 @@ class BodySession:
         ]
 
     def step(self, name: str) -> Step:
-        """Raises ``GatewayError`` for an unknown one."""
+        """Return the step of a name. Raises ``GatewayError`` for an unknown one."""
         by_name = {step.name: step for step in self.steps}
         if name not in by_name:
             raise GatewayError(f"there is no step '{name}'{nearest(name, by_name)}")
         return by_name[name]
 
     def add(self, frame: ImuFrame) -> None:
-        """A frame, in order of time."""
+        """Add a frame, in order of time; frames older than ``LONGEST_S`` are dropped now and then."""
         self._frames.append(frame)
         if len(self._frames) % 1000 == 0:
             oldest = frame.time_ns - LONGEST_S * 1e9
@@ -89,9 +89,11 @@ class BodySession:
         return self._frames[-1].time_ns if self._frames else 0
 
     def begin(self, name: str, segments: Iterable[str] | None = None) -> None:
-        """A step begins with the next frame; segments: only of these the new one counts (redo one module).
+        """Begin a step with the next frame.
 
-        Raises ``GatewayError`` for an unknown step or segment, or when no module has been heard yet.
+        Raises ``GatewayError`` for an unknown step, or if no module was heard yet.
+
+        segments: those for which the new recording counts (to redo one module); None: all.
         """
         self.step(name)
         if not self._frames:
@@ -100,14 +102,17 @@ class BodySession:
         self.current, self._begun_ns = name, self.now_ns
 
     def end(self) -> None:
-        """The step is over, and counts."""
+        """End the current step; it counts from now on."""
         if self.current is not None:
             for module in self._chosen:
                 self.spans[self.current, module] = (self._begun_ns, self.now_ns)
         self.current = None
 
     def mark(self, name: str, begin_ns: int, end_ns: int) -> None:
-        """A step of all modules, told afterwards: for recordings. Raises ``GatewayError``."""
+        """Mark a step of all modules afterwards, for recordings.
+
+        Raises ``GatewayError`` for an unknown one.
+        """
         self.step(name)
         for module in range(len(self._segments)):
             self.spans[name, module] = (begin_ns, end_ns)
@@ -118,8 +123,9 @@ class BodySession:
         return [step.name for step in self.steps if any(name == step.name for name, _ in self.spans)]
 
     def live(self) -> list[Liveliness]:
-        """By module, over the last moments."""
+        """Return, by module, whether it is heard and how fast it turns, rad/s, over the last moments."""
         newest = self.now_ns
+        # Only the newest frames can lie within the last moments; searching all would take longer each time.
         frames = [f for f in self._frames[-200:] if f.time_ns > newest - _LIVE_S * 1e9]
         if not frames:
             return [Liveliness(False, 0.0)] * len(self._segments)
@@ -208,19 +214,20 @@ class BodySession:
         )
 
     def _axis_terms(self, segment: int, found: ModuleFindings) -> list[AxisTerm]:
-        """Of movements that were large and repeated enough to say something."""
+        """Return the axes of movements that were large and regular enough to give one."""
         terms = []
         for name, movement in found.movements.items():
             if movement is not None and movement.range_rad > _SMALL_MOVEMENT:
                 sign = self.step(name).turns[found.segment]
+                # A movement that varies, or turns about several axes, gives a less certain axis.
                 sigma = AXIS_SIGMA + 0.5 * movement.spread_rad + np.radians(10.0) * (1.0 - movement.share)
                 terms.append(AxisTerm(segment, movement.axis, sign, sigma))
         return terms
 
     def _hinges(self, readings: Readings, known: set[int], joined: set[int]) -> list[AxisTerm]:
-        """Knees in the free movement: their axes, for thighs and shanks that no movement told one of.
+        """Return the knees' axes in the free movement, for segments without an axis of another movement.
 
-        A knee bends about -z, from standing on.
+        A knee bends about -z, starting from standing.
         """
         skeleton = self.suit.skeleton
         module_of = {segment: module for module, segment in enumerate(self._segments)}
@@ -237,6 +244,7 @@ class BodySession:
                 hinge = hinge_axes(above, below, readings.interval_s)
             except ValueError:
                 continue
+            # The sign of an axis is arbitrary; a knee's mean flexion while moving is not.
             bend = np.cumsum(below @ hinge.second - above @ hinge.first) * readings.interval_s
             if np.ptp(bend) > _SMALL_MOVEMENT:
                 sign = -1 if bend.mean() > 0.0 else 1
@@ -247,7 +255,7 @@ class BodySession:
         return terms
 
     def _equations(self, readings: Readings, used: set[int]) -> Mapping[int, JointEquations]:
-        """Of all joints between two modules, from every step that was a movement."""
+        """Return the equations of all joints between two modules, from every step that was a movement."""
         found: dict[int, JointEquations] = {}
         moving = [step.name for step in self.steps if step.kind is not Kind.POSE]
         module_of = {segment: module for module, segment in enumerate(self._segments)}
@@ -260,6 +268,7 @@ class BodySession:
             for span in spans:
                 rows[readings.rows(span)] = True
             rows &= readings.heard[:, first] & readings.heard[:, second]
+            # Fewer rows are a fraction of a movement, and would only add noise.
             if rows.sum() >= 100:
                 sides = [
                     side(

@@ -93,12 +93,16 @@ class Solution:
 
 
 def solve_body(problem: Problem) -> Solution:
-    """Raises ``ValueError`` when no module was in a pose, or nothing tells headings."""
+    """Return the calibration that fits all terms best.
+
+    Raises ``ValueError`` when no module was in a pose, or nothing gives the headings.
+    """
     used = sorted({term.segment for term in problem.poses})
     if not used:
         raise ValueError("no pose was held: a body calibration needs the N-pose or the T-pose")
     unknowns = _Unknowns(problem, used)
     solved = least_squares(unknowns.residuals, np.zeros(unknowns.size), x_scale=unknowns.scales, ftol=1e-3)
+    # The noise of the accelerations is not known beforehand: the first solution measures it for the second.
     sharper = unknowns.with_measured_noise(solved.x)
     solved = least_squares(sharper.residuals, solved.x, x_scale=unknowns.scales, ftol=1e-4)
     return sharper.solution(solved.x, np.asarray(solved.jac, dtype=np.float64))
@@ -127,7 +131,7 @@ class _Unknowns:
         self._pose_sigma = np.array([t.sigma for t in problem.poses])[:, None]
 
     def unpack(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
-        """R_bs (n, 3, 3), U (n, 3), δ (n,), L (j, 3), ψ."""
+        """Return R_bs (n, 3, 3), places (n, 3), headings δ (n,), joints (j, 3) and facing ψ."""
         theta, places, headings, joints, facing = np.split(x, self._cuts)
         R_bs = Rotation.from_rotvec(theta.reshape(-1, 3)).as_matrix() @ self.R_bs
         return (
@@ -139,7 +143,7 @@ class _Unknowns:
         )
 
     def residuals(self, x: FloatArray) -> FloatArray:
-        """All, each over its sigma."""
+        """Return all residuals, each divided by its standard deviation."""
         R_bs, places, headings, joints, facing = self.unpack(x)
         wearer = Rotation.from_rotvec([0.0, 0.0, facing]).as_matrix()
         worlds = _turns(headings)
@@ -155,6 +159,7 @@ class _Unknowns:
             parts.append(np.array([_wrapped(headings[self.row[segment]] - heading) / sigma]))
         parts.append(((places - self.problem.places[self.used]) / PLACE_SIGMA).ravel())
         parts.append(((joints - self.problem.joints[self.joined].reshape(-1, 3)) / LENGTH_SIGMA).ravel())
+        # These two keep the problem of full rank: only differences of headings are seen without a field.
         parts.append(np.array([x[-1], 1e-3 * np.sum(headings - self.headings)]))
         parts += [self._joint(k, R_bs, places, headings, joints) for k in range(len(self.joined))]
         return np.concatenate(parts)
@@ -172,7 +177,7 @@ class _Unknowns:
         return weighed
 
     def forces(self, x: FloatArray) -> dict[int, float]:
-        """By joint: RMS of what is left of the accelerations' difference, m/s²."""
+        """Return by joint the RMS of what is left of the accelerations' difference, m/s²."""
         R_bs, places, headings, joints, _ = self.unpack(x)
         found = {}
         for k, child in enumerate(self.joined):
@@ -187,7 +192,7 @@ class _Unknowns:
         return _Unknowns(self.problem, self.used, sigma)
 
     def solution(self, x: FloatArray, jacobian: FloatArray) -> Solution:
-        """Back into arrays over all segments."""
+        """Return the unknowns as arrays over all segments, with standard deviations from the Jacobian."""
         R_bs, places, headings, joints, facing = self.unpack(x)
         problem, n, s = self.problem, len(self.used), len(self.problem.places)
         variance = np.diag(np.linalg.pinv(jacobian.T @ jacobian))
@@ -207,7 +212,7 @@ class _Unknowns:
 
 
 def _start(problem: Problem, used: list[int]) -> tuple[float, FloatArray, FloatArray]:
-    """Wearer's heading, headings and rotations of modules, near enough for Gauss–Newton.
+    """Return the wearer's heading, and headings and rotations of modules, close enough for Gauss-Newton.
 
     Each module's axis, level in the pose, points to the right of the wearer (the z axis of the neutral
     segment): from that and the field's headings the wearer's heading; without a field it is set to 0, and the

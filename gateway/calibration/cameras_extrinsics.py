@@ -40,7 +40,10 @@ class Placement:
 def place_cameras(
     board: Board, lenses: Sequence[Lens], instants: Sequence[Views], names: Sequence[str]
 ) -> Placement:
-    """Raises ``GatewayError`` for a camera that shares no instant with the others."""
+    """Return where the cameras stand.
+
+    Raises ``GatewayError`` for a camera that shares no instant with others.
+    """
     if not board.has_direction and len(lenses) > 1:
         raise GatewayError(
             f"a checkerboard of {board.columns}×{board.rows} inner corners looks the same upside down, and "
@@ -67,7 +70,7 @@ Pose = FloatArray
 
 
 def _board_poses(board: Board, lenses: Sequence[Lens], views: Views) -> dict[int, Pose]:
-    """By camera: board to camera axes."""
+    """Return poses of the board by camera: board axes to camera axes."""
     found = {}
     for c, view in views.items():
         is_found, turn, place = cv2.solvePnP(
@@ -83,11 +86,15 @@ def _board_poses(board: Board, lenses: Sequence[Lens], views: Views) -> dict[int
 
 
 def _chained(seen: Sequence[Mapping[int, Pose]], n: int) -> tuple[list[Pose | None], list[Pose | None]]:
-    """First poses: first board's axes to those of every camera, and every board in the first one's axes."""
+    """Return first estimates of the poses of cameras and boards.
+
+    Cameras: the first board's axes to the camera's; boards: the board's axes to the first board's.
+    """
     cameras: list[Pose | None] = [None] * n
     boards: list[Pose | None] = [None] * len(seen)
     if seen:
         boards[0] = np.eye(4)
+    # Every round reaches at least one more camera or board, so that so many rounds reach all that can be.
     for _ in range(n + len(seen)):
         for b, by_camera in enumerate(seen):
             for c, pose in by_camera.items():
@@ -152,7 +159,7 @@ def _result(board: Board, lenses: Sequence[Lens], instants: Sequence[Views], pos
 def placed_cameras(
     names: Sequence[str], sizes: Sequence[tuple[int, int]], lenses: Sequence[Lens], placement: Placement
 ) -> tuple[Camera, ...]:
-    """The calibrated cameras; sizes: width and height of their pictures."""
+    """Return the calibrated cameras; ``sizes`` are width and height of their pictures."""
     return tuple(
         Camera(name, *size, lens.matrix, lens.distortion, turn, place)
         for name, size, lens, turn, place in zip(

@@ -46,7 +46,7 @@ class CamerasFile(_Strict):
 
 
 def load_cameras(path: Path, up: Axis | None = None, unit: str = "m") -> tuple[Camera, ...]:
-    """Cameras in a world whose Z points up, of our file or of another program's (``import_cameras``).
+    """Load cameras in a world whose Z points up, of our file or another program's (``import_cameras``).
 
     up: axis of the file's world that points up; None: as our file says, z for others. Raises
     ``SettingsError``, also for two cameras of one name.
@@ -66,7 +66,7 @@ def load_cameras(path: Path, up: Axis | None = None, unit: str = "m") -> tuple[C
 
 
 def _refuse_wrong_unit(cameras: Sequence[Camera], path: Path) -> None:
-    """Cameras that look at one person stand neither kilometres nor millimetres apart."""
+    """Raise ``SettingsError`` if cameras stand kilometres or millimetres apart: the unit must be wrong."""
     places = np.array([camera.position for camera in cameras])
     apart = float(np.linalg.norm(np.ptp(places, axis=0)))
     if len(cameras) > 1 and not _NEAREST_M < apart < _FARTHEST_M:
@@ -77,7 +77,7 @@ def _refuse_wrong_unit(cameras: Sequence[Camera], path: Path) -> None:
 
 
 def axis_of(text: str) -> Axis:
-    """An axis as ``--up`` names it. Raises ``SettingsError``."""
+    """Return the axis that ``--up`` names. Raises ``SettingsError``."""
     for axis in AXES:
         if axis == text:
             return axis
@@ -85,13 +85,13 @@ def axis_of(text: str) -> Axis:
 
 
 def upright(cameras: Iterable[Camera], up: Axis) -> tuple[Camera, ...]:
-    """The cameras with their world turned so that the axis ``up`` becomes Z."""
+    """Return the cameras in a world turned so that its axis ``up`` becomes Z."""
     turn = _TURNS[up]  # given world axes to upright ones
     return tuple(replace(camera, rotation=camera.rotation @ turn.T) for camera in cameras)
 
 
 def _cyclic(shift: int, sign: float) -> FloatArray:
-    """A rotation that takes the axis ``shift`` steps before Z to ±Z."""
+    """Return a rotation that takes the axis ``shift`` steps before Z to ±Z."""
     turn = np.roll(np.eye(3), shift, axis=0)
     return turn if sign > 0 else np.diag([1.0, -1.0, -1.0]) @ turn
 
@@ -107,7 +107,7 @@ _TURNS: Mapping[str, FloatArray] = {
 
 
 def cameras_text(cameras: Sequence[Camera], reprojection_px: Sequence[float] | None = None) -> str:
-    """The file, in a world with Z up, every number in full."""
+    """Return the text of the file, in a world with Z up, every number in full precision."""
     entries: list[dict[str, Any]] = []
     for index, camera in enumerate(cameras):
         entry = entry_of(camera)

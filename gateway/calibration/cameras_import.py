@@ -30,7 +30,7 @@ _TOML_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 
 
 def import_cameras(path: Path, unit: str = "m") -> tuple[Camera, ...]:
-    """The cameras of a file by another program, told by its name. Raises ``SettingsError``.
+    """Read the cameras of a file by another program, recognised by its name. Raises ``SettingsError``.
 
     unit: of lengths in TOML and OpenCV files, which do not tell theirs: m, cm or mm.
     """
@@ -50,7 +50,10 @@ def import_cameras(path: Path, unit: str = "m") -> tuple[Camera, ...]:
 
 
 def _read_qualisys(path: Path, _: float) -> tuple[Camera, ...]:
-    """Lengths in mm; the transform's rows are the camera's axes in the world, its place in world axes."""
+    """Read a Qualisys calibration; its lengths are in mm.
+
+    The transform's rows are the camera's axes in the world, and its place is in world axes.
+    """
     try:
         root = fromstring(_text(path))
     except (ParseError, DefusedXmlException) as error:
@@ -113,8 +116,10 @@ def _fields_of(element: Element, where: str) -> Callable[[str], Callable[[str], 
 
 
 def _read_toml(path: Path, metres: float) -> tuple[Camera, ...]:
-    """A table a camera, by itself or below ``cameras``; ``metadata`` of anipose and Pose2Sim are passed over,
-    and cameras that Caliscope was told to ignore."""
+    """Read a TOML calibration: a table per camera, at the top or below ``cameras``.
+
+    ``metadata`` of anipose and Pose2Sim is skipped, and so are cameras that Caliscope was told to ignore.
+    """
     try:
         content = tomllib.loads(_text(path))
     except tomllib.TOMLDecodeError as error:
@@ -165,8 +170,10 @@ def _numbers(table: Mapping[str, Any], key: str, shape: Sequence[int] | None, wh
 
 
 def five_coefficients(given: FloatArray, where: str) -> FloatArray:
-    """k1, k2, p1, p2, k3 of as many as a file has; those it lacks are zero. Raises ``SettingsError`` for
-    the rational and thin-prism models."""
+    """Return k1, k2, p1, p2, k3; those that a file lacks are zero.
+
+    Raises ``SettingsError`` for the rational and thin-prism models.
+    """
     if len(given) > 5 and np.any(given[5:]):
         raise SettingsError(
             f"{where}: {len(given)} distortion coefficients; the model has five (k1, k2, p1, p2, k3): "

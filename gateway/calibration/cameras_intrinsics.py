@@ -44,7 +44,10 @@ class Lens:
 
 
 def calibrate_lens(board: Board, views: Sequence[BoardView], width: int, height: int, name: str) -> Lens:
-    """Raises ``GatewayError`` with too few views, or views of one direction only."""
+    """Return the lens of a camera.
+
+    Raises ``GatewayError`` with too few views, or views of one direction only.
+    """
     if len(views) < FEWEST_VIEWS:
         raise GatewayError(
             f"camera '{name}': the board was found in {len(views)} pictures, {FEWEST_VIEWS} are the least "
@@ -52,6 +55,7 @@ def calibrate_lens(board: Board, views: Sequence[BoardView], width: int, height:
         )
     points = [board.points[view.corners].astype(np.float32) for view in views]
     pixels = [view.pixels.astype(np.float32) for view in views]
+    # With few views k3 follows noise at the picture's edge.
     flags = 0 if len(views) >= _VIEWS_FOR_K3 else cv2.CALIB_FIX_K3
     try:
         rms, matrix, distortion, turns, places = cv2.calibrateCamera(

@@ -43,7 +43,7 @@ class CamerasResult:
 
 
 def board_pictures(board: Board, place: str, every: int, tell: Tell) -> list[BoardPicture]:
-    """The pictures of one image, folder or video, every so many of them, with the board where it is found."""
+    """Return every n-th picture of an image, folder or video, with the board where it is found."""
     found = []
     for name, picture, total in _pictures(place, every):
         found.append(BoardPicture(name, picture, find_board(board, picture)))
@@ -69,9 +69,9 @@ def calibrate_cameras(
     scene_board: Board,
     scene_pictures: Mapping[str, Sequence[BoardPicture]],
 ) -> CamerasResult:
-    """By camera: pictures for the lens, and pictures of the scene, the n-th of one instant in all cameras.
+    """Calibrate lenses, then places. Raises ``GatewayError`` naming the camera that lacks something.
 
-    Raises ``GatewayError`` naming the camera that lacks something.
+    Pictures are by camera; the n-th picture of the scene is of the same instant in all cameras.
     """
     names = list(lens_pictures)
     if set(scene_pictures) != set(names):
@@ -117,8 +117,10 @@ def _size(name: str, pictures: Sequence[BoardPicture]) -> tuple[int, int]:
 
 
 def write_board_pictures(board: Board, result: CamerasResult, folder: Path) -> int:
-    """Every picture with the corners found and, in red, where the calibration has them. OSError as ``mkdir``
-    does."""
+    """Write every picture with the corners found and, in red, where they should be; return how many.
+
+    Raises ``OSError`` as ``mkdir`` does.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     written = 0
     for camera, lens, pictures in zip(result.cameras, result.lenses, result.lens_pictures, strict=True):

@@ -46,7 +46,7 @@ class ResetControl:
         self._apply_event = apply_event
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-        """``heading``, ``full``, ``mounting``, ``position``. Raises ``GatewayError``."""
+        """Perform a reset ``heading``, ``full``, ``mounting`` or ``position``. Raises ``GatewayError``."""
         request = asked("reset", verb, data).model_dump()
         facing = float(np.radians(request.get("facing_deg", 0.0)))
         return self._apply_event(RESET_EVENT, {"kind": verb, "facing": facing})
@@ -77,7 +77,7 @@ class CalibrationControl:
         }
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-        """As ``gateway.contract.requests`` says. Raises ``GatewayError``."""
+        """Perform a request of ``gateway.contract.requests``. Raises ``GatewayError``."""
         request = asked("calibration", verb, data)
         found = self._verbs[verb](request)
         answer: dict[str, Any] = await found if asyncio.iscoroutine(found) else found

@@ -62,7 +62,7 @@ def missing_sides(vectors: FloatArray, centre: FloatArray | None = None) -> list
 
 
 def evenly(vectors: FloatArray, centre: FloatArray, most: int) -> FloatArray:
-    """At most ``most`` of the vectors from each cell, spread over time: no long rest outweighs all else."""
+    """Return at most ``most`` of the vectors from each cell, spread over time, so that no rest dominates."""
     cells = cells_of(vectors - centre)
     kept = [_spread(np.flatnonzero(cells == cell), most) for cell in np.unique(cells)]
     return vectors[np.sort(np.concatenate(kept))] if kept else vectors

@@ -136,7 +136,10 @@ def sphere(readings: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _ellipsoid(readings: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Q and b of (m − b)ᵀ Q (m − b) = 1 by Li & Griffiths (2004); None when the data do not give one."""
+    """Return Q and b of (m − b)ᵀ Q (m − b) = 1 by Li & Griffiths (2004); None if the data do not determine
+    them.
+    """
+    # Centred and scaled to about 1, or else products of unlike magnitudes ruin the scatter matrix.
     centre, radius = sphere(readings)
     x, y, z = ((readings - centre) / radius).T
     design = np.stack([x * x, y * y, z * z, 2 * y * z, 2 * x * z, 2 * x * y, 2 * x, 2 * y, 2 * z, x**0])

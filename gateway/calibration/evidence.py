@@ -43,7 +43,7 @@ class Readings:
 
 
 def readings_of(frames: Sequence[ImuFrame], suit: WornSuit) -> Readings:
-    """From frames in order of time. Raises ``ValueError`` for fewer than a second of them."""
+    """Resample frames evenly, with orientations. Raises ``ValueError`` for less than a second of them."""
     times = np.array([frame.time_ns for frame in frames], dtype=np.float64)
     if len(frames) < 20 or times[-1] - times[0] < 1e9:
         raise ValueError("nothing was recorded yet: do the steps first")

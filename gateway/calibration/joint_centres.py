@@ -27,7 +27,7 @@ _SMOOTH = 7  # samples of the smoothing that derivative and readings share
 
 
 def lever_matrix(angular_rate: FloatArray, angular_acceleration: FloatArray) -> FloatArray:
-    """Γ (n, 3, 3) with the acceleration of a point at ρ, against the joint's, Γ ρ."""
+    """Return Γ (n, 3, 3): Γ ρ is the acceleration of a point at ρ minus that of the joint."""
     return _skew(angular_acceleration) + _skew(angular_rate) @ _skew(angular_rate)
 
 
@@ -82,7 +82,7 @@ class JointEquations:
         return folded
 
     def rms(self, rho_1: FloatArray, rho_2: FloatArray, heading: float) -> float:
-        """Of an instant's vector difference, m/s²."""
+        """Return the RMS of an instant's vector difference, m/s²."""
         return float(np.sqrt(np.sum(self.residuals(rho_1, rho_2, heading) ** 2) / max(self.n, 1)))
 
 
@@ -94,7 +94,8 @@ def features(rho_1: FloatArray, rho_2: FloatArray, heading: float) -> FloatArray
 
 
 def relative_heading(equations: JointEquations) -> float:
-    """Δ: heading of the second module's level world against the first's, rad, by the best fit."""
+    """Return the heading Δ, rad, of the second module's level world against the first's, by the best fit."""
+    # The error may have several minima over the circle, so a coarse search of all of it comes first.
     angles = np.linspace(-np.pi, np.pi, 72, endpoint=False)
     left = [_left_at(equations, angle) for angle in angles]
     best = float(angles[int(np.argmin(left))])

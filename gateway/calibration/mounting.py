@@ -88,7 +88,7 @@ def keep(rig: Path, now: datetime) -> Path | None:
 
 
 def history(rig: Path) -> list[Path]:
-    """Earlier versions of a rig file, the newest first."""
+    """Return earlier versions of a rig file, newest first."""
     pattern = re.compile(rf"^{_DATE}(_\d+)?\.yaml$")
     folder = history_folder(rig)
     if not folder.is_dir():

@@ -77,14 +77,14 @@ class MovementCheck:
     """Watches one movement of a body. Sans-I/O."""
 
     def __init__(self, movement: Movement, segments: Sequence[str]) -> None:
-        """segments: those of the body that modules are worn on; others are not judged."""
+        """Judge a movement by ``segments``, those with modules; others are not judged."""
         self.movement = movement
         self._forward: dict[str, list[float]] = {name: [] for name in movement.segments if name in segments}
         self._doubtful: set[str] = set()
         self._poses = 0
 
     def add(self, q_wb: Mapping[str, Quaternion | None], status: Mapping[str, str], root: FloatArray) -> None:
-        """A pose. root: (4,) of the root segment, whose heading says what is forward."""
+        """Add a pose; ``root`` (4,) is the root segment's orientation, whose heading says what is forward."""
         ahead = quaternion.rotate(root, FORWARD)
         ahead = ahead * np.array([1.0, 1.0, 0.0])
         length = float(np.linalg.norm(ahead))

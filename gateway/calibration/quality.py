@@ -40,7 +40,7 @@ def judged(*findings: Finding) -> Quality:
 
 
 def graded(value: float, good: float, bad: float) -> float:
-    """1 at ``good/2`` (or twice it, where more is better) and beyond, ``GOOD`` at ``good``, 0 at ``bad``."""
+    """Return 1 at ``good/2`` (or twice it, if more is better), ``GOOD`` at ``good``, 0 at ``bad``."""
     if good < bad:
         best = 0.5 * good
         return _between(value, best, good, bad)

@@ -72,7 +72,7 @@ class RestDetector:
         return self._now is not None
 
     def add(self, time_ns: int, specific_force: Vector3, angular_rate: Vector3) -> None:
-        """A reading, in order of time; m/s² and rad/s."""
+        """Add a reading, in order of time; m/s² and rad/s."""
         if self._begin_ns is None:
             self._begin_ns = time_ns
         if time_ns - self._begin_ns >= WINDOW_NS:

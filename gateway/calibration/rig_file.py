@@ -23,7 +23,7 @@ def write_calibrated_rig(
     measured: str | None = None,
     dip_deg: float | None = None,
 ) -> None:
-    """The rig of ``source`` with these calibrations, by module id, as the file ``target``.
+    """Write the rig of ``source`` with these calibrations, by module id, as the file ``target``.
 
     measured: date for people; none: today. dip_deg: of the local field; none: as it stands there. Raises
     ``SettingsError`` for a bad rig, ``GatewayError`` when the file cannot be written.
@@ -50,12 +50,13 @@ def write_rig(
     change: Callable[[dict[str, Any]], None],
     head: str,
 ) -> None:
-    """The content of a rig file, its modules' entries changed, as ``target``.
+    """Write the content of a rig file, with its modules' entries changed, as ``target``.
 
     Raises ``GatewayError`` when that cannot be written.
     """
     for module in content["modules"]:
         change(module)
+    # A body beside the old file would no longer be found from another folder.
     beside = source.parent / content["body"]
     if beside.is_file() and source.parent.resolve() != target.parent.resolve():
         content["body"] = str(beside.resolve())

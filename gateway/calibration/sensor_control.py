@@ -41,7 +41,7 @@ class SensorControl:
         makers: MakersModules,
         operations: ModuleOperations,
     ) -> None:
-        """suit: as worn now. rig: that what is found is kept in."""
+        """Calibrate sensors of the suit that ``suit`` returns; accepted results are written to ``rig``."""
         self._suit, self._rig = suit, rig
         self._stream, self._makers, self._operations = stream, makers, operations
         self._session: SensorSession | None = None
@@ -56,7 +56,7 @@ class SensorControl:
         }
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-        """As ``gateway.contract.requests`` says. Raises ``GatewayError``."""
+        """Perform a request of ``gateway.contract.requests``. Raises ``GatewayError``."""
         request = asked("sensors", verb, data)
         return await self._verbs[verb](request)
 
@@ -132,13 +132,13 @@ class SensorControl:
         return answer
 
     async def _flash(self, kept: Mapping[int, dict[str, Result | str]]) -> dict[str, Any]:
-        """To the modules, on top of what they correct already."""
+        """Write results to the modules' flash, on top of what they correct already."""
         for module, results in kept.items():
             await flash(self._operations, module, results)
         return {"file": None, "is_configured": False}
 
     async def _write(self, kept: Mapping[int, dict[str, Result | str]]) -> dict[str, Any]:
-        """To the rig file; the configured one is used once the configuration is read anew."""
+        """Write results to the rig file; a gateway uses it once its configuration is read anew."""
         suit, session = self._suit(), self._session
         assert session is not None
         calibrations = {m: combined(each, suit.calibrations.get(m)) for m, each in kept.items()}

@@ -64,7 +64,7 @@ class ModuleSession:
     def add(
         self, time_ns: int, force: Vector3 | None, rate: Vector3 | None, magnetic_field: Vector3 | None
     ) -> None:
-        """A reading: m/s², rad/s, µT; None for a sensor that was not read."""
+        """Add a reading, m/s², rad/s, µT; None for a sensor that was not read."""
         self._samples += 1
         if force is not None and rate is not None:
             self._rest.add(time_ns, force, rate)
@@ -74,16 +74,17 @@ class ModuleSession:
                 self._at_rest.append((force, magnetic_field))
 
     def dip_deg(self, calibration: SensorCalibration) -> float | None:
-        """By how much the field points below the horizontal, by the readings at rest; None: too few."""
+        """Return the dip of the field below the horizontal, °, from readings at rest; None: too few."""
         if len(self._at_rest) < _FEWEST_FOR_A_DIP:
             return None
         forces, fields = np.swapaxes(np.array(self._at_rest), 0, 1)
         up, field = calibration.specific_force(forces), calibration.magnetic_field(fields)
+        # The median, because a reading beside iron may be far off.
         upward = np.sum(up * field, axis=1) / np.linalg.norm(up, axis=1) / np.linalg.norm(field, axis=1)
         return -float(np.degrees(np.median(np.arcsin(np.clip(upward, -1.0, 1.0)))))
 
     def progress(self) -> Progress:
-        """As of now."""
+        """Return what has been gathered so far."""
         stretches = self._rest.stretches
         positions = rest_positions(stretches)
         return Progress(
@@ -96,7 +97,7 @@ class ModuleSession:
         )
 
     def result(self, sensor: str, gravity: float, field_ut: float, has_levelled_cube: bool) -> Result:
-        """Raises ``ValueError`` saying what is missing."""
+        """Return the calibration of one sensor. Raises ``ValueError`` saying what is missing."""
         stretches = self._rest.stretches
         if sensor == "gyroscope":
             return gyroscope_bias(stretches, REST_S)
@@ -106,7 +107,9 @@ class ModuleSession:
         return magnetometer_ellipsoid(np.array(self._field).reshape(-1, 3), field_ut)
 
     def _coverage(self) -> float:
-        """From the middle of the sphere through the readings: a small patch has a far one, covers little."""
+        """Return the share of directions seen from the centre of the fitted sphere; a small patch covers
+        little.
+        """
         if len(self._field) < _FEWEST_FOR_A_SPHERE:
             return 0.0
         readings = np.array(self._field[:: 1 + len(self._field) // _SHOWN_READINGS])
@@ -124,9 +127,11 @@ class SensorSession:
         sensors: Iterable[str] = SENSORS,
         has_levelled_cube: bool = False,
     ) -> None:
-        """
-        gravity: local, m/s². field_ut: strength of the local field, µT, to which magnetometers are scaled.
-        has_levelled_cube: the accelerometers lie on the six sides of one (twelve numbers instead of nine).
+        """Begin without readings.
+
+        gravity: local, m/s².
+        field_ut: strength of the local field, µT, to which magnetometers are scaled.
+        has_levelled_cube: accelerometers lie on the six sides of a cube: twelve parameters instead of nine.
         """
         self.modules = {module: ModuleSession() for module in modules}
         self.sensors = tuple(sensor for sensor in SENSORS if sensor in set(sensors))
@@ -140,7 +145,7 @@ class SensorSession:
         rate: Vector3 | None,
         magnetic_field: Vector3 | None,
     ) -> None:
-        """A reading of any module; others than those of the session are passed over."""
+        """Add a reading of any module; modules that are not of the session are ignored."""
         session = self.modules.get(module)
         if session is not None:
             session.add(time_ns, force, rate, magnetic_field)
@@ -162,7 +167,7 @@ class SensorSession:
         )
 
     def dip_deg(self, calibrations: Mapping[int, SensorCalibration]) -> float | None:
-        """By how much the field points below the horizontal where they lay, by calibrated modules.
+        """Return by how much the field points below the horizontal, °, as calibrated modules found it.
 
         None where there are none or they disagree, as beside iron.
         """
@@ -173,7 +178,7 @@ class SensorSession:
         return float(np.median(found))
 
     def results(self, module: int) -> dict[str, Result | str]:
-        """By sensor: its result, or why there is none."""
+        """Return, by sensor, its result or why there is none."""
         found: dict[str, Result | str] = {}
         for sensor in self.sensors:
             try:

@@ -96,7 +96,7 @@ def rest_positions(stretches: Sequence[RestStretch]) -> FloatArray:
 
 
 def accelerometer_ellipsoid(positions: FloatArray, gravity: float) -> EllipsoidResult:
-    """From rest in different positions (n, 3), however they lie, m/s².
+    """Calibrate an accelerometer from rest in positions (n, 3), m/s², in any directions.
 
     Twelve or more give nine parameters, six or more biases and scales. Raises ``ValueError`` for fewer.
     """
@@ -110,7 +110,7 @@ def accelerometer_ellipsoid(positions: FloatArray, gravity: float) -> EllipsoidR
 
 
 def six_positions(positions: FloatArray, gravity: float) -> EllipsoidResult:
-    """From rest on the six sides of a levelled cube (n, 3): all twelve numbers, axes of the housing.
+    """Calibrate an accelerometer on the sides of a levelled cube (n, 3): twelve parameters, housing axes.
 
     The classical six-position test (IEEE Std 517): each position is taken as gravity exactly along the
     nearest axis. Raises ``ValueError`` when a side is missing or a position lies askew by more than 10°.
