@@ -47,7 +47,7 @@ def segment_colours(
     is_stale: bool,
     sides: Sequence[str] | None = None,
 ) -> NDArray[np.uint8]:
-    """(s, 3) RGB. sides: of each, trunk, left or right; default: all trunk."""
+    """Return colours (s, 3), RGB; ``sides`` has trunk, left or right of each segment, by default trunk."""
     if is_stale:
         return np.tile(np.array(STALE, np.uint8), (len(statuses), 1))
     sides = sides or ["trunk"] * len(statuses)
@@ -74,7 +74,7 @@ def _colour(status: str, sigma_rad: float | None, side: str) -> Colour:
 
 
 def silent_segments(statuses: Mapping[str, str], worn: Collection[str]) -> tuple[str, ...]:
-    """Those of which nothing is known: missing, or only predicted although a module is ``worn`` there."""
+    """Return segments without data: missing, or only predicted although a module is ``worn`` there."""
     return tuple(
         segment
         for segment, status in statuses.items()
@@ -83,7 +83,7 @@ def silent_segments(statuses: Mapping[str, str], worn: Collection[str]) -> tuple
 
 
 def status_summary(statuses: Mapping[str, str], silent: Sequence[str], language: str = ENGLISH) -> str:
-    """How many segments have which status: ``16 measured, 1 missing; no data of head``."""
+    """Return how many segments have which status: ``16 measured, 1 missing; no data of head``."""
     counts = Counter(statuses.values())
     if counts["measured"] == len(statuses):
         return say(language, "all_measured", count=len(statuses))
@@ -96,7 +96,7 @@ def status_summary(statuses: Mapping[str, str], silent: Sequence[str], language:
 
 
 def legend(language: str = ENGLISH) -> str:
-    """What the colours mean, as HTML."""
+    """Return what the colours mean, as HTML."""
     meanings = [(say(language, f"is_{name}"), colour) for name, colour in COLOURS.items()]
     meanings[:1] = [
         (say(language, "side_left"), SIDE_COLOURS["left"]),
@@ -109,7 +109,7 @@ def legend(language: str = ENGLISH) -> str:
 
 
 def chips(meanings: Iterable[tuple[str, Colour]]) -> str:
-    """Meanings with their colours, as HTML."""
+    """Return meanings with their colours, as HTML."""
     shown = "".join(
         '<span style="display:inline-block;margin:2px 8px 2px 0;white-space:nowrap">'
         f'<span style="display:inline-block;width:10px;height:10px;border-radius:5px;margin-right:4px;'

@@ -31,7 +31,7 @@ class Assistant(StepTab):
         ask: Ask,
         marks: Callable[[str], None],
     ) -> None:
-        """marks: told which segment is meant, to be shown on the body."""
+        """Add the tab; ``marks`` is called with the segment that is meant, to show it on the body."""
         super().__init__(server, tabs, "tab", ask, asyncio.get_running_loop())
         self._mark = marks
         self._listed: Mapping[str, Any] | None = None
@@ -44,7 +44,7 @@ class Assistant(StepTab):
         self._others += tabs
 
     def choose_segment(self, segment: str) -> None:
-        """A limb was clicked."""
+        """Choose the segment of a limb that was clicked."""
         if segment in (self._listed or NONE_HEARD)["segments"]:
             # the library's property has a setter, which the type checker does not see
             self._segment.value = segment_name(self._language, segment)  # type: ignore[misc]
@@ -144,7 +144,7 @@ class Assistant(StepTab):
         return devices_of(self._listed or NONE_HEARD, self._language).get(self._device.value, "")
 
     def _chosen_segment(self) -> str:
-        """The segment that is chosen, as its body names it; empty: none is."""
+        """Return the name of the chosen segment in the body, or an empty text."""
         segments = (self._listed or NONE_HEARD)["segments"]
         named: dict[str, str] = {segment_name(self._language, name): name for name in segments}
         return named.get(self._segment.value, "")
@@ -204,7 +204,7 @@ class Assistant(StepTab):
         return self._say("undone", count=len(answer["changes"]))
 
     def _unwritable(self, what: str, button: str) -> str | None:
-        """Why nothing may be written; None: it may. button: key of its text."""
+        """Return why nothing may be written, or None; ``button`` is the key of its text."""
         if not self._needed()["allows_writes"]:
             return self._say("refused")
         if self._write.value:
@@ -225,7 +225,7 @@ NONE_HEARD: Mapping[str, Any] = {"modules": (), "segments": {}}
 
 
 def devices_of(listed: Mapping[str, Any], language: str) -> dict[str, str]:
-    """Devices that can be asked, by what they are called here: id, segment, end of the unique id."""
+    """Return the unique ids of devices that can be asked, by label: id, segment, end of the unique id."""
     return {
         f"{one['module']} · {segment_name(language, one['segment'] or NOTHING)} · …{one['unique_id'][-6:]}": (
             one["unique_id"]
@@ -236,7 +236,7 @@ def devices_of(listed: Mapping[str, Any], language: str) -> dict[str, str]:
 
 
 def proposal_text(proposal: Proposal, language: str) -> str:
-    """What an assignment would write."""
+    """Return what an assignment would write."""
     segment = segment_name(language, proposal.segment)
     if proposal.is_right_already:
         return say(language, "right", segment=segment, id=proposal.after)
@@ -245,7 +245,7 @@ def proposal_text(proposal: Proposal, language: str) -> str:
 
 
 def conflict_lines(listed: Mapping[str, Any], language: str) -> list[str]:
-    """A line for each id that several modules have."""
+    """Return a line for each id that several modules have."""
     return [
         say(
             language,
@@ -260,7 +260,7 @@ def conflict_lines(listed: Mapping[str, Any], language: str) -> list[str]:
 
 
 def found_table(listed: Mapping[str, Any], language: str) -> str:
-    """The answer of ``modules list`` as HTML: devices, conflicts, and segments of which nothing is heard."""
+    """Return the answer of ``modules list`` as HTML: devices, conflicts, and segments without a device."""
     keys = ["id", "segment", "battery", "rate", "lost", "clock"]
     if any(one.get("rssi_dbm") is not None for one in listed["modules"]):
         keys.append("signal")
@@ -292,7 +292,7 @@ def _cells(one: Mapping[str, Any], language: str) -> Sequence[str]:
 
 
 def findings(examined: Mapping[str, Any], language: str) -> str:
-    """The answer of ``gateway/examine`` as HTML: ports, then what was found, the worst first."""
+    """Return the answer of ``gateway/examine`` as HTML: ports, then findings, worst first."""
     ports = [
         ("inherit", (port["name"], port["link"] or say(language, "unused"))) for port in examined["ports"]
     ]

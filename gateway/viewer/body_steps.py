@@ -85,7 +85,7 @@ class BodySteps(StepTab):
         return tuple(step_name(self._language, step) for step in self._steps) or (NOTHING,)
 
     def _chosen(self) -> str:
-        """The step that is chosen; empty while there is none."""
+        """Return the step that is chosen, or an empty text."""
         return next((step for step in self._steps if step_name(self._language, step) == self._step.value), "")
 
     def _show_picture(self) -> None:
@@ -94,7 +94,7 @@ class BodySteps(StepTab):
         self._picture.content = step_picture(step, told) + (line(told) if told else "")
 
     def _limbs(self) -> dict[str, str]:
-        """Limbs whose lengths can be told, by their names here."""
+        """Return limbs whose lengths can be entered, by their names in the page's language."""
         return {segment_name(self._language, limb): limb for limb in self._measures["lengths"]}
 
     def _show_length(self) -> None:
@@ -193,12 +193,15 @@ class BodySteps(StepTab):
 
 
 def instruction_of(step: str, told: str, language: str) -> str:
-    """What the wearer is to do, in a language; as the gateway told it where there is no text of it."""
+    """Return what the wearer is to do, in a language; the gateway's own words if there is no translation."""
     return texts(language).get(f"step_{step}", told)
 
 
 def progress(status: Mapping[str, Any], instruction: str, language: str) -> str:
-    """What is to be done now, for how long, and who spoils it. status: answer of calibration/status."""
+    """Return what is to be done now, for how long, and which modules do not fit.
+
+    status: answer of ``calibration/status``.
+    """
     is_recording = status["phase"].startswith("recording")
     parts = [say(language, "records" if is_recording else "ready_in", instruction=instruction,
                  left=f"{status['left_s']:.0f}")]  # fmt: skip
@@ -216,7 +219,7 @@ def _named(status: Mapping[str, Any], is_meant: Callable[[Mapping[str, Any]], bo
 
 
 def result_table(result: Mapping[str, Any], language: str) -> str:
-    """A score for each module with its reasons, as HTML."""
+    """Return a score for each module with its reasons, as HTML."""
     head = [say(language, key) for key in ("module", "segment", "score", "why")]
     return table(
         head, ((COLOURS.get(one["quality"], "inherit"), _cells(one, language)) for one in result["modules"])

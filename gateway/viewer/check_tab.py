@@ -53,7 +53,7 @@ class CheckTab(StepTab):
         )
 
     def add(self, pose: PoseMessage) -> None:
-        """A pose that has come."""
+        """Hand a pose to the check that runs, if any."""
         if self._watching is not None and (root := pose.segments.get(pose.root)) is not None:
             self._watching.add(pose.segments, pose.status, np.array(root, np.float64))
 

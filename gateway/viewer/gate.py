@@ -120,8 +120,11 @@ class Door:
         session: str | None = None,
         looking: AccessToken | None = None,
     ) -> None:
-        """token: of who may write. looking: of who may only look; without it nobody only looks.
-        session: what the writer's cookie holds; none: made up, so that a new start asks for the token again.
+        """Make the keys of the page.
+
+        token: of who may write.
+        looking: of who may only look; None: nobody may only look.
+        session: what the writer's cookie holds; None: random, so that a new start asks for the token again.
 
         Raises ``CredentialError`` where both tokens are the same.
         """
@@ -138,10 +141,14 @@ class Door:
             ]
 
     def admit(self, request: Request) -> Right:
-        """What may be done. Raises ``Refused`` for whoever may not come in, and to set the cookie for who
-        shows a token."""
+        """Return what may be done. Raises ``Refused`` for a request that may not come in.
+
+        ``Refused`` is also raised to set the cookie for a request that shows a token.
+        """
         is_open = not self._keys and is_loopback(request.host_name)
         right = Right.WRITE if is_open else self._identify(request)
+        # A browser sends cookies with requests of any site: only the origin tells which site opened the
+        # socket.
         origin = request.headers.get("origin", request.host).lower()
         if request.is_websocket and origin.rpartition("/")[2] != request.host:
             raise Refused("403 Forbidden", "another site may not use this page")
@@ -185,7 +192,7 @@ class Door:
         )
 
     def _cookie_name(self, request: Request) -> str:
-        """One for each port: browsers do not tell ports apart."""
+        """Return the cookie's name, which has the port: browsers share cookies between ports of a host."""
         return f"mocap_page_{request.host_port}"
 
 
@@ -195,8 +202,11 @@ class Gate:
     def __init__(
         self, host: str, port: int, inner_port: int, door: Door, looking_port: int | None = None
     ) -> None:
-        """inner_port: of the page with its buttons. looking_port: of the one without, for who may only look;
-        None: there is none, and who may only look is let in nowhere."""
+        """Forward to the pages behind the gate.
+
+        inner_port: of the page with its buttons.
+        looking_port: of the one without; None: whoever may only look is refused.
+        """
         self._address = host, port
         self._inner_ports = {Right.WRITE: inner_port, Right.LOOK: looking_port}
         self._door = door
@@ -283,7 +293,7 @@ class Gate:
 
 
 async def _answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, answer: bytes) -> None:
-    """Whole, to whoever listens: closed with a request half read, it would be lost on the way."""
+    """Send an answer and wait until the client has closed: unread input would discard the answer."""
     async with asyncio.timeout(_LAST_WORDS_S):
         writer.write(answer)
         await writer.drain()
@@ -292,14 +302,14 @@ async def _answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, an
 
 
 async def _copy(source: asyncio.StreamReader, target: asyncio.StreamWriter) -> None:
-    """Until the source ends; whoever does not read is waited for, so nothing piles up."""
+    """Copy until the source ends; a slow reader is waited for, so that nothing piles up."""
     while block := await source.read(_BLOCK):
         target.write(block)
         await target.drain()
 
 
 async def _either(*ways: Coroutine[None, None, None]) -> None:
-    """Until one of both directions ends."""
+    """Run both directions until one of them ends, then end the other."""
     tasks = [asyncio.create_task(way) for way in ways]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

@@ -23,7 +23,10 @@ class Ghost:
     def __init__(
         self, server: viser.ViserServer, stage: Stage, arrays: SkeletonArrays, of: SkeletonArrays
     ) -> None:
-        """of: the recording on the page. Raises ``GatewayError`` where the two share no segment."""
+        """Add a body beside ``of``, the recording on the page.
+
+        Raises ``GatewayError`` if they share no segment.
+        """
         names, others = arrays.skeleton.segment_names, of.skeleton.segment_names
         if not set(names) & set(others):
             raise GatewayError(
@@ -78,8 +81,10 @@ class Ghost:
 
 
 def later_s(arrays: SkeletonArrays, of: SkeletonArrays) -> float:
-    """By how much a recording began after another one, s; 0 where the two were not made at the same time:
-    then both are shown from their beginnings."""
+    """Return by how much a recording began after another one, s.
+
+    It is 0 where the two were not made at the same time: then both are shown from their beginnings.
+    """
     first, last = int(arrays.time_ns[0]), int(arrays.time_ns[-1])
     if last < int(of.time_ns[0]) or first > int(of.time_ns[-1]):
         return 0.0

@@ -19,7 +19,7 @@ class History:
         self._rows: deque[tuple[float, tuple[float, ...]]] = deque()
 
     def add(self, time_s: float, values: Sequence[float]) -> None:
-        """One row; a time before the last begins anew (playback jumps back)."""
+        """Add one row; a time before the last clears the rest, as playback has jumped back."""
         if self._rows and time_s < self._rows[-1][0]:
             self._rows.clear()
         self._rows.append((time_s, tuple(values)))
@@ -27,7 +27,7 @@ class History:
             self._rows.popleft()
 
     def arrays(self) -> tuple[FloatArray, ...]:
-        """Times relative to the last, s, then each series; one empty row where there is none yet."""
+        """Return times relative to the last, s, then each series; one row of NaN where there is none yet."""
         if not self._rows:
             return (np.zeros(1), *(np.full(1, np.nan) for _ in self.names))
         times = np.array([time_s for time_s, _ in self._rows])

@@ -73,8 +73,12 @@ class LiveViewer:
         *,
         may_write: bool = True,
     ) -> None:
-        """muscles_kg: mass of the person whose muscles are shown; None: none are. may_write: false leaves the
-        buttons out that ask something of the gateway; nothing that a page sends then reaches it."""
+        """Build the page.
+
+        muscles_kg: mass of the person whose muscles are shown; None: no muscles.
+        may_write: False leaves out every button that asks something of the gateway, and refuses what a page
+        sends.
+        """
         self._muscles_kg = muscles_kg
         self._wires: MuscleWires | None = None
         self._undrawn: deque[ReceivedPose] = deque(maxlen=MOST_UNDRAWN)
@@ -121,7 +125,7 @@ class LiveViewer:
             self._add_assistant(server)
 
     def _add_assistant(self, server: viser.ViserServer) -> None:
-        """The tabs that lead from nothing to a recording, in the order of their steps."""
+        """Add the tabs that lead from nothing to a recording, in the order of their steps."""
         tabs, ask, loop = self._panel.tabs, self._answer_of, self._loop
         self._assistant = Assistant(server, tabs, ask, self._mark)
         sensors, body = SensorTab(server, tabs, ask, loop), BodySteps(server, tabs, ask, loop)
@@ -132,7 +136,10 @@ class LiveViewer:
         self._panel.on_language(self._assistant.speak)
 
     async def run(self, waits: bool = False) -> None:
-        """For ever. Raises ``BrokerUnreachableError`` if there is no broker at the start, unless it waits."""
+        """Show poses for ever.
+
+        Raises ``BrokerUnreachableError`` without a broker at the start, unless ``waits``.
+        """
         while True:
             try:
                 await self._show()
@@ -174,13 +181,13 @@ class LiveViewer:
             picture += 1
 
     def _take_gateway(self, poses: PoseSubscriber) -> None:
-        """Where any will do: one that runs, though it gives no poses yet, for it is to be set up."""
+        """Choose a running gateway if any will do, even one without poses: it may be here to be set up."""
         if self._gateway == ANY_GATEWAY:
             running = [name for name, state in poses.states.items() if state == "online"]
             self._gateway = min(running, default=ANY_GATEWAY)
 
     def _take_body(self, body: BodyMessage | None) -> None:
-        """The body as the gateway has it now; another one is built anew."""
+        """Build the body anew if the gateway publishes another one."""
         if body is None or body == self._body:
             return
         if self._scene is not None:
@@ -196,6 +203,7 @@ class LiveViewer:
             self._body_steps.look()
         if self._wires is not None:
             self._wires.remove()
+        # A body without muscles of its own still is worth showing: the page says why they are missing.
         try:
             self._wires = muscle_wires(self._server, self._stage, skeleton, self._muscles_kg)
             self._speak_of_muscles(self._panel.language)
@@ -235,7 +243,7 @@ class LiveViewer:
             self._panel.add_markers(latest.pose.t_ns, instant)
 
     def _red(self) -> frozenset[str]:
-        """Segments that did not follow in the check."""
+        """Return the segments that did not follow in the check."""
         return frozenset() if self._check is None else self._check.red
 
     def _replay(self, arrays: SkeletonArrays | None, name: str) -> None:
@@ -257,7 +265,7 @@ class LiveViewer:
         self._panel.add_pose(pose)
 
     def _add_undrawn(self, wires: MuscleWires, keeper: PostureKeeper, latest: ReceivedPose) -> None:
-        """Poses that came between two pictures, up to the one that is drawn."""
+        """Add poses that came between two pictures, up to the one that is drawn: muscles need all of them."""
         while self._undrawn and self._undrawn[0].pose.t_ns <= latest.pose.t_ns:
             pose = self._undrawn.popleft().pose
             if pose is not latest.pose:
@@ -291,7 +299,7 @@ class LiveViewer:
         self._panel.draw_plot()
 
     def _show_headline(self, poses: PoseSubscriber) -> None:
-        """What is shown, or why nothing comes."""
+        """Show what comes, or why nothing comes."""
         panel, say, now_ns = self._panel, self._panel.say, gateway_time_ns()
         name = self._name(poses)
         age = self._view.age_s(now_ns)
@@ -317,7 +325,7 @@ class LiveViewer:
             panel.show_status(name, *self._pose_texts(), is_alarm=False)
 
     def _name(self, poses: PoseSubscriber) -> str:
-        """The gateway's name, and whether it runs."""
+        """Return the gateway's name, and whether it runs."""
         if self._gateway == ANY_GATEWAY:
             return self._panel.say("no_gateway")
         state = poses.states.get(self._gateway, "unknown")
@@ -325,7 +333,7 @@ class LiveViewer:
         return f"{self._gateway}: {self._panel.say(f'state_{state}') if known else state}"
 
     def _pose_texts(self) -> tuple[str, ...]:
-        """Lines about poses that come."""
+        """Return lines about poses that come."""
         latest = self._latest
         rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
         say, language = self._panel.say, self._panel.language
@@ -348,8 +356,9 @@ class LiveViewer:
         return (pace, *told, stands, *markers)
 
     def _warnings(self) -> tuple[str, ...]:
-        """What is amiss with poses that come."""
+        """Return what is wrong with poses that come."""
         latency_s = self._view.latency_s or 0.0
+        # A pose of a recording is old by days: that is no latency.
         late = latency_s if latency_s < RECORDED_AFTER_S else 0.0
         status = self._recording.now(gateway_time_ns())
         return warnings_of(self._losses.share, late, status, self._panel.language)
@@ -362,13 +371,14 @@ class LiveViewer:
         return age is not None and age > STALE_AFTER_S
 
     def _ask(self, family: str, verb: str, data: Mapping[str, Any]) -> None:
-        """A button was pressed, in a thread of the page's server."""
+        """Start a request in the event loop; called in a thread of the page's server."""
         request = asyncio.run_coroutine_threadsafe(self._request(family, verb, data), self._loop)
+        # The loop keeps only weak references to tasks: without this one it might be collected while it runs.
         self._requests.add(request)
         request.add_done_callback(self._requests.discard)
 
     async def _answer_of(self, family: str, verb: str, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The gateway's answer. Raises ``GatewayError``."""
+        """Return the gateway's answer. Raises ``GatewayError``."""
         async with remote_suit(self._settings, self._gateway, family) as remote:
             answer = await remote.perform(verb, data)
         if family == "recording" and "state" in answer:
@@ -395,7 +405,7 @@ class LiveViewer:
         show(say("is_done", wish=wish, told=self._answer_text(family, verb, answer)))
 
     def _answer_text(self, family: str, verb: str, answer: Mapping[str, Any]) -> str:
-        """What came of a request, in short."""
+        """Return what a request has brought about, in short."""
         if family == "recording":
             file = str(answer.get("file", "")).rpartition("/")[2]
             clock = clock_of(answer.get("seconds"))
@@ -411,7 +421,7 @@ class LiveViewer:
 
 
 def _instant(received: ReceivedPose | None) -> str:
-    """When a pose was taken, for one that comes from a recording."""
+    """Return when a pose was taken, as text."""
     if received is None:
         return ""
     taken = datetime.fromtimestamp(received.pose.t_ns * 1e-9, UTC)

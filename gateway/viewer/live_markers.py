@@ -36,7 +36,7 @@ class LiveMarkers:
             self._scene.speak(language)
 
     def add(self, received: ReceivedPose) -> None:
-        """A pose that came."""
+        """Keep a pose, and drop the oldest beyond ``_KEPT_POSES``."""
         self._poses[received.pose.t_ns] = received
         while len(self._poses) > _KEPT_POSES:
             self._poses.popitem(last=False)
@@ -44,7 +44,8 @@ class LiveMarkers:
     def pose_of(
         self, message: MarkersMessage | None, latest: ReceivedPose
     ) -> tuple[ReceivedPose, MarkerInstant | None]:
-        """What is to be drawn: the latest pose alone, or that of the newest markers and them."""
+        """Return what is to be drawn: the latest pose alone, or the newest markers with their pose."""
+        # Markers and pose of different instants would show distances that nobody measured.
         if message is None or abs(latest.pose.t_ns - message.t_ns) > _LONGEST_NS:
             return latest, None
         pose = self._poses.get(message.t_ns)

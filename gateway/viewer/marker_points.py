@@ -54,7 +54,7 @@ class MarkerInstant:
         return apart
 
     def summary(self, language: str = ENGLISH) -> tuple[str, ...]:
-        """``39 markers, 2.8 mm RMS from the body, 1 left out``, and those farthest off."""
+        """Return ``39 markers, 2.8 mm RMS from the body, 1 left out``, and those farthest off."""
         residuals, used = self.residuals, self.used
         if not len(residuals):
             return (say(language, "markers_count", count=0),)
@@ -79,7 +79,7 @@ def instant_of(
     used: NDArray[np.bool_],
     unlabelled: FloatArray,
 ) -> MarkerInstant:
-    """All M markers of a body at one instant: those that were seen. NaN: not seen, or without a pose."""
+    """Return the markers of one instant that were seen and have a pose; NaN marks the others."""
     seen: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(positions + virtual), axis=1)
     known = np.isfinite(unlabelled).all(axis=1)
     names = tuple(label for label, is_there in zip(labels, seen.tolist(), strict=True) if is_there)
@@ -93,7 +93,7 @@ class RecordedMarkers:
         self._markers = markers
 
     def at(self, index: int) -> MarkerInstant:
-        """Those that the pose of that index was made of; none where it was made of something else."""
+        """Return the markers of one pose; none if it was made of something else."""
         m = self._markers
         return instant_of(m.labels, m.positions[index], m.virtual[index], m.used[index], m.unlabelled[index])
 
@@ -108,7 +108,7 @@ class ReceivedMarkers:
         self._arrays = arrays
 
     def at(self, index: int) -> MarkerInstant:
-        """Those that the pose of that index was made of; none where it was made of something else."""
+        """Return the markers of one pose; none if it was made of something else."""
         arrays, segments = self._arrays, self._markers.segments
         frame = self._frames.get(int(arrays.time_ns[index]))
         q_wb, p_w = arrays.q_wb[index][segments], arrays.p_w[index][segments]
@@ -124,7 +124,7 @@ class ReceivedMarkers:
 def recorded_markers(
     recording: Recording, arrays: SkeletonArrays
 ) -> RecordedMarkers | ReceivedMarkers | None:
-    """The markers of a recording; None where no link carried any."""
+    """Return the markers of a recording; None where no link carried any."""
     if arrays.markers is not None:
         return RecordedMarkers(arrays.markers)
     links = {name for name, content in recording.meta.links.items() if content == "markers"}
@@ -142,7 +142,7 @@ def _frames(chunks: Iterable[Chunk], receivers: dict[str, MarkerFrames]) -> Iter
 
 
 def residual_colours(residuals: FloatArray) -> NDArray[np.uint8]:
-    """(m, 3) RGB from ``NEAR`` to ``FAR``."""
+    """Return colours (m, 3), RGB, from ``NEAR`` to ``FAR``."""
     part = np.clip((residuals - NEAR_M) / (FAR_M - NEAR_M), 0.0, 1.0)[:, None]
     colours: NDArray[np.uint8] = np.round((1.0 - part) * np.array(NEAR) + part * np.array(FAR)).astype(
         np.uint8
@@ -151,7 +151,7 @@ def residual_colours(residuals: FloatArray) -> NDArray[np.uint8]:
 
 
 def marker_colours(instant: MarkerInstant) -> NDArray[np.uint8]:
-    """(m, 3) RGB: by residual, and of their own for those that were left out."""
+    """Return colours (m, 3), RGB: by residual, with a colour of their own for those left out."""
     colours = residual_colours(instant.residuals)
     colours[~instant.used] = LEFT_OUT
     return colours
@@ -197,7 +197,7 @@ class MarkerScene:
             self._show()
 
     def _show(self) -> None:
-        """As the check box says; what has no points is hidden, for a page cannot measure it."""
+        """Show what the check box asks for; hide empty sets, of which the page cannot compute a size."""
         for node in (self._points, self._lines):
             node.visible = self._is_wanted.value and len(node.points) > 0
 

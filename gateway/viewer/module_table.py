@@ -35,10 +35,9 @@ def module_rows(
     silent: Collection[str] = (),
     language: str = ENGLISH,
 ) -> list[tuple[str, ...]]:
-    """One row a module, as texts: of the rig, and others that were heard. Last comes why it is red, and what
-    would do; empty where it is not.
+    """Return one row of texts a module: those of the rig, and others that were heard.
 
-    silent: segments of which nothing comes now.
+    The last cell says why it is red, with a remedy; it is empty for others.
     """
     modules = health.statistics.get("modules", {}) if health is not None else {}
     doubts = health.statistics.get("doubts", {}) if health is not None else {}
@@ -58,7 +57,7 @@ def module_rows(
 
 
 def _why_red(is_heard: bool, lost: str, doubt: str, language: str) -> str:
-    """What is amiss with a module, and what would do. lost: as in its row."""
+    """Return what is wrong with a module and the remedy, or an empty text; ``lost`` is a cell of its row."""
     if not is_heard:
         return say(language, "remedy_silent", tab=say(language, "tab"))
     if doubt:
@@ -67,8 +66,7 @@ def _why_red(is_heard: bool, lost: str, doubt: str, language: str) -> str:
 
 
 def module_table(rows: list[tuple[str, ...]], language: str = ENGLISH) -> str:
-    """The rows as an HTML table; modules that lose more than a per cent stand out, and
-    those that are doubtful, with the reason."""
+    """Return the rows as an HTML table; modules that lose over a per cent, or are doubtful, stand out."""
     names = (say(language, key) if key.isidentifier() and key != "ppm" else key for key in _COLUMNS)
     head = "".join(f'<th style="text-align:left;padding:1px 4px">{name}</th>' for name in names)
     body = "".join(_html_row(row) for row in rows)
@@ -118,12 +116,12 @@ class RecordingStatus:
         self._status_ns = 0
 
     def take(self, status: object, status_ns: int) -> None:
-        """Of a health message or an answer, told at this gateway time, ns; an older one changes nothing."""
+        """Take the status of a health message or an answer; one older than the last is ignored."""
         if isinstance(status, Mapping) and status_ns > self._status_ns:
             self._status, self._status_ns = status, status_ns
 
     def now(self, now_ns: int) -> Mapping[str, object]:
-        """The status, with the seconds of now."""
+        """Return the status, its seconds extrapolated to now."""
         seconds = self._status.get("seconds")
         if self._status.get("state") != "recording" or not isinstance(seconds, int | float):
             return self._status
@@ -133,9 +131,10 @@ class RecordingStatus:
 def health_line(
     worn: int, silent: int, lost: float, recording: Mapping[str, object], language: str = ENGLISH
 ) -> str:
-    """How modules, losses and the disk stand: ``16 of 17 modules, 0.2 % lost, 80.9 GB free``.
+    """Return how modules, losses and the disk stand: ``16 of 17 modules, 0.2 % lost, 80.9 GB free``.
 
-    lost: share of the samples, 0 to 1. recording: the gateway's status of it, which has the disk's room."""
+    lost: share of the samples, 0 to 1. recording: the gateway's status of it, which has the disk's room.
+    """
     parts = [say(language, "modules_heard", heard=worn - silent, worn=worn)] if worn else []
     parts.append(say(language, "share_lost", percent=f"{100 * lost:.1f}"))
     free_mb = recording.get("free_mb")
@@ -150,7 +149,7 @@ def warnings_of(
     recording: Mapping[str, object] | None = None,
     language: str = ENGLISH,
 ) -> tuple[str, ...]:
-    """What is to be told loudly, with what would do. lost: share of the samples, 0 to 1."""
+    """Return warnings with their remedies; ``lost`` is a share of the samples, 0 to 1."""
     found = []
     if lost >= MUCH_LOST:
         found.append(
@@ -167,7 +166,7 @@ def warnings_of(
 
 
 def clock_of(seconds: object) -> str:
-    """``1:05`` of 65.2; ``0:00`` of what is no number."""
+    """Return ``1:05`` of 65.2; ``0:00`` of what is no number."""
     whole = int(seconds) if isinstance(seconds, int | float) else 0
     minutes = f"{whole // 60 % 60:02d}" if whole >= 3600 else f"{whole // 60}"
     return f"{f'{whole // 3600}:' if whole >= 3600 else ''}{minutes}:{whole % 60:02d}"
@@ -176,9 +175,10 @@ def clock_of(seconds: object) -> str:
 def recorded_rows(
     segments: Sequence[str], status: NDArray[np.integer[Any]], language: str = ENGLISH
 ) -> list[tuple[str, ...]]:
-    """Of a recording: one row a segment, with how much of it was measured, held or missing, in percent.
+    """Return one row a segment of a recording: percentages measured, held and missing.
 
-    status: (T, S) numbers of ``Status``."""
+    status: (T, S) numbers of ``Status``.
+    """
     kinds = (Status.MEASURED, Status.INTERPOLATED, Status.MISSING)
     return [
         (
@@ -190,7 +190,7 @@ def recorded_rows(
 
 
 def recorded_table(rows: list[tuple[str, ...]], language: str = ENGLISH) -> str:
-    """These rows as an HTML table."""
+    """Return rows of ``recorded_rows`` as an HTML table."""
     heads = [
         say(language, key) for key in ("segment", "share_measured", "share_interpolated", "share_missing")
     ]

@@ -36,7 +36,7 @@ class MuscleWires:
     """The muscles of one body."""
 
     def __init__(self, server: viser.ViserServer, stage: Stage, skeleton: Skeleton, body_kg: float) -> None:
-        """Raises ``GatewayError`` for a body that carries no muscles, or without the extra ``biomech``."""
+        """Show a body's muscles. Raises ``GatewayError`` if it has none, or without the extra ``biomech``."""
         require_biomech()
         self._server, self._stage = server, stage
         self._root = int(np.flatnonzero(skeleton.parents < 0)[0])
@@ -63,12 +63,12 @@ class MuscleWires:
             self._lines = None
 
     def add(self, time_s: float, q_wb: FloatArray, root: FloatArray) -> None:
-        """A pose that is not drawn: q_wb (S, 4), root (3,) m. One that is not whole is left out."""
+        """Add a pose that is not drawn: q_wb (S, 4), root (3,) m; one with unknown segments is left out."""
         if np.isfinite(q_wb).all() and np.isfinite(root).all():
             self._muscles.add(time_s, q_wb, root)
 
     def draw(self, time_s: float, posture: Posture) -> None:
-        """A posture came: the wires lie on it; activities follow ten times in a second of its time."""
+        """Draw the wires on a posture, and renew their activities ten times in a second of its time."""
         place = posture.p_w[self._root]
         if posture.is_placed != self._is_placed:
             self._is_placed = posture.is_placed
@@ -85,7 +85,9 @@ class MuscleWires:
         self._show(*segments_of(self._activity, paths, self._stage.middle))
 
     def _show(self, points: NDArray[np.float32], colours: NDArray[np.uint8]) -> None:
-        """The node itself is not moved: it would lag behind the body."""
+        """Show wires around the stage's middle; the node itself stays, as moving it would lag behind the
+        body.
+        """
         if self._lines is not None and self._lines.points.shape == points.shape:
             with self._server.atomic():
                 self._lines.points, self._lines.colors = points, colours
@@ -97,14 +99,14 @@ class MuscleWires:
 def muscle_wires(
     server: viser.ViserServer, stage: Stage, skeleton: Skeleton, body_kg: float | None
 ) -> MuscleWires | None:
-    """Those of a body; None where none are wished for. Raises ``GatewayError`` as they do."""
+    """Return the wires of a body, or None where none are asked for. Raises ``GatewayError`` as they do."""
     return None if body_kg is None else MuscleWires(server, stage, skeleton, body_kg)
 
 
 def segments_of(
     activity: FloatArray, paths: Sequence[FloatArray], origin: FloatArray
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Ends (n, 2, 3) m and colours (n, 2, 3) of all wires' straight parts. origin: (3,) m, taken off."""
+    """Return ends (n, 2, 3), m from ``origin``, and colours (n, 2, 3) of the straight parts of all wires."""
     parts = [np.stack([path[:-1], path[1:]], axis=1) for path in paths]
     counts = [len(part) for part in parts]
     looks = np.stack([np.interp(activity, (0.0, 0.5, 1.0), stops) for stops in _STOPS.T], axis=1)
@@ -114,7 +116,7 @@ def segments_of(
 
 
 def _legend(language: str, is_placed: bool) -> str:
-    """What the wires' colours mean, and what is amiss, as HTML."""
+    """Return what the wires' colours mean, and what is missing, as HTML."""
     names = ("muscle_idle", "muscle_half", "muscle_full")
     meanings = [
         (say(language, name), (int(stop[0]), int(stop[1]), int(stop[2])))
@@ -124,7 +126,7 @@ def _legend(language: str, is_placed: bool) -> str:
 
 
 def _with_joints(skeleton: Skeleton) -> Skeleton:
-    """A published body is told without joints: those of the shipped body with the same segments."""
+    """Return a published body, which has no joints, with those of the shipped body of the same segments."""
     if skeleton.joints:
         return skeleton
     for name in _BODIES:

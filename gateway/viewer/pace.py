@@ -10,12 +10,13 @@ PICTURES_HZ = 33.0
 
 
 async def pictures(rate_hz: float = PICTURES_HZ) -> AsyncIterator[float]:
-    """For ever, so many times a second: the time since the last one, s; at first none."""
+    """Yield for ever, ``rate_hz`` times a second, the time since the last picture, s; 0 at first."""
     loop = asyncio.get_running_loop()
     due = before = loop.time()
     while True:
         now = loop.time()
         yield now - before
         before = now
+        # A picture that took too long is not made up for by a burst of pictures after it.
         due = max(due + 1.0 / rate_hz, loop.time())
         await asyncio.sleep(due - loop.time())

@@ -109,7 +109,7 @@ class Panel:
         return choice
 
     def say(self, key: str, **values: object) -> str:
-        """A text in the language that is spoken."""
+        """Return a text in the page's language."""
         return say(self.language, key, **values)
 
     def on_language(self, listener: Callable[[str], None]) -> None:
@@ -133,7 +133,7 @@ class Panel:
             listener(language)
 
     def add_pose(self, pose: PoseMessage) -> None:
-        """A pose for the plot: attitudes of segments, and of joints the angles where poses carry them."""
+        """Add a pose to the plot: attitudes of segments, and angles of joints where poses have them."""
         joints = pose.joint_angles or {}
         self._offer(_Offer(self.language, tuple(joints), tuple(pose.segments), self._has_markers))
         kind, name = self._series.get(self._plotted.value, ("", ""))
@@ -175,7 +175,7 @@ class Panel:
                 self._plotted.value = option  # type: ignore[misc]  # as in _look
 
     def add_markers(self, t_ns: int, markers: MarkerInstant) -> None:
-        """The same instant's markers: their distances from the body."""
+        """Add the markers of the same instant to the plot: their distances from the body."""
         self._has_markers = True
         residuals = 1e3 * markers.residuals
         if self._series.get(self._plotted.value) == _RESIDUALS and markers.used.any():
@@ -188,7 +188,7 @@ class Panel:
         self._plot.draw()
 
     def show_status(self, headline: str, *details: str, is_alarm: bool, is_busy: bool = False) -> None:
-        """The lines on top; the first is red when it is an alarm. is_busy: a bar runs below it."""
+        """Show the lines on top; the first is red for an alarm, and a bar runs below it while busy."""
         colour = "var(--mocap-poor)" if is_alarm else "inherit"
         lines = "<br>".join(map(html.escape, details))
         self._set(
@@ -204,7 +204,7 @@ class Panel:
         )
 
     def show_warnings(self, warnings: Sequence[str]) -> None:
-        """What is amiss though poses come, above all else, in a strip that is seen; none: no strip."""
+        """Show what is wrong though poses come, in a coloured strip above all else; nothing: no strip."""
         lines = "<br>".join(f"&#9888; {html.escape(warning)}" for warning in warnings)
         strip = (
             '<div role="alert" style="margin:4px 8px;padding:6px 10px;border-radius:6px;font-size:13px;'
@@ -213,7 +213,7 @@ class Panel:
         self._set(self._warnings, strip if lines else "")
 
     def show_recording(self, status: Mapping[str, object]) -> None:
-        """A red light and a clock while the gateway records. status: as in its health message."""
+        """Show a red light and a clock while the gateway records, by its status in the health message."""
         if status.get("state") != "recording":
             self._set(self._recording, "")
             return
@@ -229,22 +229,22 @@ class Panel:
         )
 
     def _look(self, view: str, client: viser.ClientHandle | None, stage: Stage) -> None:
-        """A view was chosen: for the page that it was chosen on."""
+        """Apply a view that was chosen, on the page where it was chosen."""
         if view == "follow":
             # the library's property has a setter, which the type checker does not see
             self.follow.value = True  # type: ignore[misc]
         stage.look(client, view)
 
     def show_answer(self, answer: str) -> None:
-        """What became of the last button."""
+        """Show what the last button brought about."""
         self._set(self._answer, f'<div style="padding:0 12px 4px;font-size:12px">{html.escape(answer)}</div>')
 
     def show_modules(self, table: str) -> None:
-        """The table of modules, HTML."""
+        """Show the table of modules, HTML."""
         self._set(self._modules, table)
 
     def _set(self, handle: viser.GuiHtmlHandle, content: str) -> None:
-        """Only what has changed is sent to the pages."""
+        """Set the content of an element if it has changed: every assignment is sent to all pages."""
         if self._shown.get(id(handle)) != content:
             self._shown[id(handle)] = content
             handle.content = content
@@ -270,7 +270,7 @@ class SeriesPlot:
         self._slot.label = name
 
     def add(self, title: str, t_ns: int, names: Sequence[str], values: Sequence[float]) -> None:
-        """One instant; another title or other names begin another plot."""
+        """Add one instant; another title or other names begin another plot."""
         if title != self._title or tuple(names) != self._history.names:
             self._title, self._history = title, History(names, PLOT_SPAN_S)
             if self._chart is not None:

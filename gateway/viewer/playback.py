@@ -36,8 +36,13 @@ class Playback:
         muscles_kg: float | None = None,
         compared: SkeletonArrays | None = None,
     ) -> None:
-        """muscles_kg: mass of the person whose muscles are shown; None: none are. compared: another
-        recording, shown as a pale body. Raises ``GatewayError`` where the two share no segment."""
+        """Build the page of a recording.
+
+        muscles_kg: mass of the person whose muscles are shown; None: no muscles.
+        compared: another recording, shown as a pale body.
+
+        Raises ``GatewayError`` if the two share no segment.
+        """
         self._arrays = arrays
         self._times_s: list[float] = arrays.time_s.tolist()
         self._position_s = 0.0
@@ -76,7 +81,7 @@ class Playback:
         self._drawn = -1
 
     async def run(self) -> None:
-        """For ever; begins anew at the end."""
+        """Play for ever, again from the beginning at the end."""
         async for elapsed_s in pictures():
             self.advance(elapsed_s)
 
@@ -131,8 +136,9 @@ class Playback:
         self._panel.show_status(self._name, *lines, is_alarm=False)
 
     def _add_undrawn(self, wires: MuscleWires, before: int, index: int) -> None:
-        """Poses that fell between two pictures."""
+        """Add poses that fell between two pictures: muscles need all of them."""
         for i in range(before + 1, index):
+            # After a jump in time the poses between are no motion.
             if self._times_s[index] - self._times_s[i] <= ENOUGH_S:
                 wires.add(self._times_s[i], self._arrays.q_wb[i], self._arrays.p_w[i, 0])
 

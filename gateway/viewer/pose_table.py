@@ -60,7 +60,7 @@ def attitude(q_wb: Quaternion) -> Attitude:
 
 
 def bend_deg(parent: Quaternion | None, child: Quaternion | None) -> float:
-    """By how much a segment is turned against its parent, of the neutral posture 0; NaN where not known."""
+    """Return the angle of a segment against its parent, °, 0 in the neutral posture; NaN if unknown."""
     if parent is None or child is None:
         return float("nan")
     along = abs(sum(p * c for p, c in zip(parent, child, strict=True)))
@@ -76,6 +76,7 @@ class PoseView:
         self._recent: deque[tuple[int, float]] = deque()  # received_ns, latency_s
 
     def add(self, received: ReceivedPose) -> None:
+        """Note a pose, for the rate and latency of the last seconds."""
         self.last = received
         self._recent.append((received.received_ns, received.latency_s))
         while self._recent[0][0] < received.received_ns - _WINDOW_NS:
@@ -98,7 +99,7 @@ class PoseView:
         return None if self.last is None else (now_ns - self.last.received_ns) * 1e-9
 
     def table(self, now_ns: int, state: str, with_quaternions: bool = False) -> Table:
-        """Everything known about this gateway, as of ``now_ns``."""
+        """Return a table of everything known about this gateway, as of ``now_ns``."""
         table = Table(title=self.headline(now_ns, state), title_justify="left", title_style="")
         table.add_column("segment")
         columns = ("w", "x", "y", "z") if with_quaternions else ("heading °", "pitch °", "roll °")
@@ -127,12 +128,12 @@ class PoseView:
 
 
 def _plain(name: str) -> Text:
-    """A name as it stands, neither obeyed by the terminal nor taken for markup."""
+    """Return a name as plain text, neither obeyed by the terminal nor taken for markup."""
     return Text(printable(name))
 
 
 def joint_table(pose: PoseMessage) -> Table | None:
-    """The joint angles of a pose; None when it carries none."""
+    """Return the joint angles of a pose; None when it carries none."""
     if not pose.joint_angles:
         return None
     table = Table("joint", "angles °", "")

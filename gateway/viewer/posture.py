@@ -28,7 +28,7 @@ class Posture:
 
 
 def skeleton_of(body: BodyMessage) -> Skeleton:
-    """The skeleton that a gateway has published."""
+    """Return the skeleton that a gateway has published."""
     names = [segment.name for segment in body.segments]
     return Skeleton(
         name=body.name,
@@ -82,14 +82,15 @@ class PostureKeeper:
         self._root = int(np.flatnonzero(skeleton.parents < 0)[0])
 
     def before_any(self) -> Posture:
-        """The body in its neutral posture on the floor, of which nothing has been heard yet."""
+        """Return the neutral posture on the floor, for the time before the first pose."""
         n, p_w = self._skeleton.n_segments, self._positions(None)
         return Posture(self._q_wb.copy(), p_w, p_w[self._root], False, ("missing",) * n, (None,) * n)
 
     def take(self, pose: PoseMessage) -> Posture:
-        """The pose as it is drawn. Segments that the skeleton does not have are left out."""
+        """Return a pose as it is drawn; segments that the skeleton lacks are left out."""
         names = self._skeleton.segment_names
         for s, name in enumerate(names):
+            # An unknown segment keeps its last orientation, and is shown as missing by its colour.
             known = pose.segments.get(name)
             if known is not None:
                 self._q_wb[s] = known
@@ -106,7 +107,7 @@ class PostureKeeper:
         )
 
     def _positions(self, place: tuple[float, ...] | None) -> FloatArray:
-        """(s, 3) by forward kinematics from the root; a body whose place nobody knows stands on the floor."""
+        """Return joints (s, 3), m, by forward kinematics; a body without a place stands on the floor."""
         skeleton = self._skeleton
         root = np.zeros(3) if place is None else np.array(place, np.float64)
         p_w = joint_positions(skeleton.parents, skeleton.offsets, self._q_wb, root)

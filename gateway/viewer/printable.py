@@ -6,5 +6,5 @@ _REPLACED = "\N{REPLACEMENT CHARACTER}"
 
 
 def printable(text: str) -> str:
-    """The text without what a terminal would obey: control characters, escapes, changes of direction."""
+    """Return a text without what a terminal would obey: control characters, escapes, changes of direction."""
     return text if text.isprintable() else "".join(c if c.isprintable() else _REPLACED for c in text)

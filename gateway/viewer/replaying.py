@@ -25,11 +25,11 @@ class RecordedPoses:
         self._encoder = PoseEncoder(skeleton.segment_names, None, frozenset(PoseMap), JointAngles(skeleton))
 
     def index_at(self, position_s: float) -> int:
-        """Of the last pose up to a time, s; of the first one before that."""
+        """Return the index of the last pose up to a time, s; of the first one before that."""
         return max(0, bisect.bisect_right(self.times_s, position_s) - 1)
 
     def pose(self, index: int) -> PoseMessage:
-        """One of them."""
+        """Return the pose of an index as the message that would have been published."""
         return PoseMessage.model_validate_json(self._encoder.encode(self._frame(index)))
 
     def _frame(self, index: int) -> SkeletonFrame:
@@ -53,7 +53,7 @@ class ReplayedTake:
     def __init__(
         self, arrays: SkeletonArrays, name: str, shown: Skeleton | None, language: str = ENGLISH
     ) -> None:
-        """shown: the body on the page. Raises ``GatewayError`` where the recording is of another one."""
+        """Play on the body that is shown. Raises ``GatewayError`` where the recording is of another body."""
         if shown is None or arrays.skeleton.segment_names != shown.segment_names:
             raise GatewayError(say(language, "replay_other", file=name, body=arrays.skeleton.name))
         self.name = name
@@ -61,13 +61,13 @@ class ReplayedTake:
         self._begun_s: float | None = None
 
     def at(self, now_s: float) -> PoseMessage:
-        """The pose to show. now_s: of any clock that runs evenly."""
+        """Return the pose to show at ``now_s`` of any clock that runs evenly; the first call begins."""
         if self._begun_s is None:
             self._begun_s = now_s
         return self._poses.pose(self._poses.index_at(self._position_s(now_s)))
 
     def text(self, now_s: float, language: str = ENGLISH) -> str:
-        """Where it is, and how long it is."""
+        """Return position and length of the recording as text."""
         seconds, length = f"{self._position_s(now_s):.1f}", f"{self._poses.times_s[-1]:.1f}"
         return say(language, "replay_at", seconds=seconds, length=length)
 

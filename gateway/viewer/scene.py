@@ -33,7 +33,7 @@ class BodyScene:
         skeleton: Skeleton,
         clicked: Callable[[str], None] | None = None,
     ) -> None:
-        """clicked: told the segment of a limb that is clicked; None: limbs cannot be clicked."""
+        """Add a body; ``clicked`` is called with the segment of a limb that is clicked."""
         self._server = server
         self._stage = stage
         self._skeleton = skeleton
@@ -89,7 +89,7 @@ class BodyScene:
             self._figure.remove()
 
     def show_bones(self, are_wanted: bool) -> None:
-        """Bones in place of the mannequin; a body that is no person's always has them."""
+        """Show bones in place of the mannequin; bodies without a mannequin always have bones."""
         self.shows_bones = are_wanted or self._figure is None
         if self._bodies.visible != self.shows_bones:
             self._bodies.visible = self.shows_bones
@@ -155,11 +155,13 @@ LABEL_M = 0.07
 
 
 def apart(heights: Sequence[float], least: float) -> list[float]:
-    """Heights moved as little as need be, so that any two differ by ``least`` at least; their order stays."""
+    """Return heights moved as little as possible, so that any two differ by ``least``; their order stays."""
     order = np.argsort(heights, kind="stable")
     groups: list[list[float]] = []  # middle, number: of names that stand close above each other
     for height in np.asarray(heights, np.float64)[order].tolist():
         groups.append([height, 1])
+        # Two groups that touch move together, each by its weight, as the squares of all moves are to be
+        # least.
         while len(groups) > 1 and _gap(groups[-2], groups[-1], least) < 0.0:
             (upper, n), (lower, m) = groups.pop(), groups.pop()
             groups.append([(upper * n + lower * m) / (n + m), n + m])
@@ -171,7 +173,7 @@ def apart(heights: Sequence[float], least: float) -> list[float]:
 
 
 def _gap(lower: list[float], upper: list[float], least: float) -> float:
-    """Between two groups, beyond what they need."""
+    """Return the gap between two groups, beyond what they need."""
     return (upper[0] - lower[0]) - 0.5 * (lower[1] + upper[1]) * least
 
 
@@ -234,7 +236,7 @@ class Figure:
         self._limbs.on_click(of_limb)
 
     def show(self, is_wanted: bool) -> None:
-        """Limbs or none; shades are there in any case."""
+        """Show or hide the limbs; their shadows are always there."""
         if self._limbs.visible != is_wanted:
             self._limbs.visible = is_wanted
 

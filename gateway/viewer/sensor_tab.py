@@ -120,7 +120,7 @@ class SensorTab(StepTab):
 
 
 def progress_table(status: Mapping[str, Any], language: str) -> str:
-    """How far every module is, as HTML; green: enough."""
+    """Return how far every module is, as HTML; green: enough."""
     rows = [
         (
             GOOD if one["enough"] else "inherit",
@@ -138,7 +138,7 @@ def progress_table(status: Mapping[str, Any], language: str) -> str:
 
 
 def result_table(found: Mapping[str, Mapping[str, Mapping[str, Any]]], language: str) -> str:
-    """What was found of every module's sensors, how good it is, and why not better, as HTML."""
+    """Return what was found of every module's sensors, how good it is, and why not better, as HTML."""
     rows = [
         (
             COLOURS.get(one["quality"], COLOURS["bad"]),

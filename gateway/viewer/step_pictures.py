@@ -24,7 +24,7 @@ def _figures() -> dict[str, list[Figure]]:
 
 
 def step_picture(step: str, told: str) -> str:
-    """A step from the front and from the right, as HTML; nothing where there is no picture of it.
+    """Return a step from the front and from the right, as HTML; empty where there is no picture of it.
 
     told: what it shows, for screen readers.
     """
@@ -49,7 +49,7 @@ def step_picture(step: str, told: str) -> str:
 
 
 def _line(line: list[str | float], across: int, middle: float, lowest: float) -> str:
-    """From the front (across: 1) or from the right (0)."""
+    """Return a line as SVG, seen from the front (``across`` 1) or from the right (0)."""
     side, *points = line
     start, end = points[:3], points[3:]
     colour = f"rgb{SIDE_COLOURS[side]}" if side in ("left", "right") else "currentColor"

@@ -31,12 +31,12 @@ COLOURS = {"good": GOOD, "fair": FAIR, "poor": POOR, "warning": FAIR, "bad": POO
 
 
 def line(text: str) -> str:
-    """What became of a button, as HTML that a screen reader tells."""
+    """Return what a button brought about, as HTML that a screen reader announces."""
     return f'<div role="status" style="padding:2px 12px 4px;font-size:12px">{html.escape(text)}</div>'
 
 
 def table(head: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str:
-    """Rows, each a colour and its cells, as an HTML table. Cells are texts, not HTML."""
+    """Return rows, each a colour and its cells, as an HTML table; cells are texts, not HTML."""
     cell = "padding:1px 4px;text-align:left;vertical-align:top"
     shown = "".join(
         f'<tr style="color:{colour}">'
@@ -96,7 +96,7 @@ class StepTab(ABC):
         ask: Ask,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
-        """name: key of the tab's name in the texts."""
+        """Add an empty tab; ``name`` is the key of its name in the texts."""
         self._server, self._ask, self._errands = server, ask, Errands(loop)
         self._tabs, self._name = tabs, name
         self._tab = tabs.add_tab(say(ENGLISH, name))
@@ -130,18 +130,19 @@ class StepTab(ABC):
         return say(self._language, key, **values)
 
     def _button(self, key: str, action: Action, **options: Any) -> Any:
-        """A button that does something; what became of it is told below it."""
+        """Add a button that does something; the outcome is shown below it."""
         return self._button_for_page(key, lambda _client: action(), **options)
 
     def _button_for_page(
         self, key: str, action: Callable[[viser.ClientHandle | None], Awaitable[str]], **options: Any
     ) -> Any:
-        """The same, for a action that concerns the page on which it was pressed."""
+        """Add a button whose action concerns the page on which it was pressed."""
         button = self._server.gui.add_button(self._say(key), **options)
         place = self._server.gui.add_html("", visible=False)
         self._places.append(place)
 
         def pressed(event: viser.GuiEvent[Any]) -> None:
+            # An outcome that stays below another button would look like that of this one.
             for other in self._places:
                 if other is not place:
                     other.visible = False

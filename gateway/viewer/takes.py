@@ -86,7 +86,7 @@ class TakesTab(StepTab):
         return self._format
 
     def _files(self) -> dict[str, Mapping[str, Any]]:
-        """What is listed, by file name."""
+        """Return what is listed, by file name."""
         listed: Sequence[Mapping[str, Any]] = (self._listed or {}).get("recordings", ())
         return {take["file"]: take for take in listed}
 
@@ -107,7 +107,7 @@ class TakesTab(StepTab):
         return self._say("takes_found", count=len(self._files()), folder=self._listed["folder"])
 
     def _chosen(self) -> Mapping[str, Any]:
-        """What is chosen. Raises ``GatewayError`` where nothing is."""
+        """Return the recording that is chosen. Raises ``GatewayError`` where none is."""
         if (take := self._files().get(self._take.value)) is None:
             raise GatewayError(self._say("no_take", list=self._say("takes_list")))
         return take
@@ -149,15 +149,16 @@ class TakesTab(StepTab):
         return self._say("downloaded", file=take["file"])
 
     async def _send(self, client: viser.ClientHandle | None, name: str) -> None:
-        """To the page that asked for it."""
+        """Send a file to the page that asked for it."""
         if client is not None:
             client.send_file_download(name, await self._read(name), save_immediately=True)
 
     async def _read(self, name: str) -> bytes:
-        """A whole file of the gateway's folder. Raises ``GatewayError``."""
+        """Return a whole file of the gateway's folder. Raises ``GatewayError``."""
         found = bytearray()
         size = 1
         while len(found) < size:
+            # A message to the broker must not be as large as a recording, so the file comes in pieces.
             piece = await self._ask("recording", "read", {"file": name, "offset": len(found)})
             data, size = base64.b64decode(piece["data"]), int(piece["bytes"])
             if size > LARGEST_DOWNLOAD:
@@ -174,7 +175,7 @@ def _arrays_of(path: Path) -> SkeletonArrays:
 
 
 def takes_list(listed: Mapping[str, Any], language: str) -> str:
-    """The answer of ``recording/list`` as HTML: a picture, when, how long, how large, what was lost."""
+    """Return the answer of ``recording/list`` as HTML: picture, date, duration, size and losses."""
     cards = "".join(_card(take, language) for take in listed["recordings"])
     problems = "".join(
         f'<div style="color:{POOR}">{html.escape(problem)}</div>' for problem in listed["problems"]
@@ -202,7 +203,7 @@ def _card(take: Mapping[str, Any], language: str) -> str:
 
 
 def thumbnail(outline: Sequence[Sequence[float]], name: str) -> str:
-    """The body half-way through a recording as a small SVG; an empty frame where it is not known."""
+    """Return the body half-way through a recording as a small SVG; an empty frame where it is unknown."""
     points = [(x, y) for x0, y0, x1, y1 in outline for x, y in ((x0, y0), (x1, y1))]
     top = max((y for _, y in points), default=1.0) + 0.1
     height = max(top - min((y for _, y in points), default=0.0) + 0.1, 0.5)

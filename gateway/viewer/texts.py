@@ -14,23 +14,23 @@ _FILE = Path(__file__).with_name("texts.json")
 
 @cache
 def texts(language: str) -> dict[str, str]:
-    """All texts of a language, by key."""
+    """Return all texts of a language, by key."""
     found: dict[str, str] = json.loads(_FILE.read_text(encoding="utf-8"))[language]
     return found
 
 
 def segment_name(language: str, segment: str) -> str:
-    """A segment or joint as it is told to people; one that no text names as its body names it."""
+    """Return the name of a segment or joint for people; one without a text keeps its technical name."""
     return _name(language, "segment", segment)
 
 
 def movement_name(language: str, movement: str) -> str:
-    """The movement in which an angle of a joint grows, likewise."""
+    """Return the name of the movement in which an angle of a joint grows."""
     return _name(language, "angle", movement)
 
 
 def step_name(language: str, step: str) -> str:
-    """A step of the body calibration, likewise."""
+    """Return the name of a step of the body calibration."""
     return _name(language, "name", step)
 
 
@@ -39,5 +39,5 @@ def _name(language: str, kind: str, word: str) -> str:
 
 
 def say(language: str, key: str, **values: object) -> str:
-    """One text with its values filled in. Raises ``KeyError`` for an unknown one."""
+    """Return one text with its values filled in. Raises ``KeyError`` for an unknown one."""
     return texts(language)[key].format(**values)
