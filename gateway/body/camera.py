@@ -31,7 +31,7 @@ class Camera:
 
 
 def project(camera: Camera, points: FloatArray) -> FloatArray:
-    """Pixels (..., 2), as they stand in the distorted picture, of world points (..., 3) in m.
+    """Return pixels (..., 2) in the distorted picture, of world points (..., 3) in m.
 
     NaN for a point that is not in front of the camera.
     """

@@ -142,7 +142,7 @@ def neutral_positions(skeleton: Skeleton) -> FloatArray:
 
 
 def _add_trunk(found: BodyInertia, skeleton: Skeleton, sex: str | None) -> None:
-    """Parts of the trunk, stacked from the middle of the hips toward the neck, onto what carries them."""
+    """Add parts of the trunk, stacked from the middle of the hips toward the neck, to what carries them."""
     names = skeleton.segment_names
     if "pelvis" not in names:
         return
@@ -151,6 +151,7 @@ def _add_trunk(found: BodyInertia, skeleton: Skeleton, sex: str | None) -> None:
     base = np.mean(hips or [placed[names.index("pelvis")]], axis=0)
     neck = next((placed[names.index(name)] for name in ("neck", "head") if name in names), None)
     lengths = {part: _mean(lengths, sex) for part, lengths in TRUNK_LENGTH.items()}
+    # The height of the trunk is not known, so the table's lengths are scaled by that of the legs.
     if neck is None:  # legs alone
         up, scale = np.array([0.0, 1.0, 0.0]), leg_stature(skeleton) or MEAN_STATURE_M
     else:
@@ -181,7 +182,7 @@ def _carrier(
 
 
 def _add(found: BodyInertia, s: int, kg: float, begin: FloatArray, end: FloatArray, part: Part) -> None:
-    """A part between two points of a segment onto what the segment has already; changes the arrays."""
+    """Add a part between two points of a segment to what the segment has already; change the arrays."""
     length = float(np.linalg.norm(end - begin))
     axis = (end - begin) / length
     radii = np.array([part.sagittal, part.longitudinal, part.transverse])

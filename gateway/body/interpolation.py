@@ -58,7 +58,7 @@ def follow(
     sigma: FloatArray,
     status: StatusArray,
 ) -> None:
-    """Orientations (n, 4), rates (n, 3), sigma (n,) and status (n,) of segments without module, in place.
+    """Write orientations (n, 4), rates (n, 3), sigma (n,) and status (n,) of segments without a module.
 
     A rule whose one end is not defined follows the other. status: PREDICTED, or the end's if that is worse.
     """

@@ -89,7 +89,7 @@ def joint_angles(skeleton: Skeleton, q_wb: FloatArray) -> FloatArray:
 
 
 def posture(skeleton: Skeleton, angles: Mapping[str, Sequence[float]], q_root: FloatArray) -> FloatArray:
-    """``q_wb`` (n_segments, 4) with joints at the given angles, rad, and all others at zero.
+    """Return ``q_wb`` (n_segments, 4) with joints at the given angles, rad, and all others at zero.
 
     angles: joint name to its angles in order. q_root: (4,) of the root segment. A segment without a joint
     here is turned as its parent is. Raises ``KeyError`` for an unknown joint.
@@ -108,7 +108,9 @@ def posture(skeleton: Skeleton, angles: Mapping[str, Sequence[float]], q_root: F
 
 
 def joint_rotation(joint: Joint, angles: FloatArray) -> FloatArray:
-    """``q_pd`` (4,), distal to proximal, of a joint at the given angles, rad: the inverse of the above."""
+    """Return ``q_pd`` (4,), distal to proximal, of a joint at the given angles, rad: inverse of
+    ``decompose``.
+    """
     vectors = [np.array(angle.axis) * value for angle, value in zip(joint.angles, angles, strict=False)]
     if joint.decomposition is Decomposition.SWING_TWIST:
         vectors = [vectors[0] + vectors[1], vectors[2]]
@@ -129,7 +131,7 @@ def _joint_angles(
     before: FloatArray,
     limits: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Right-handed angles (n_joints, 3) and distances from the singularity (n_joints,), rad."""
+    """Return right-handed angles (n_joints, 3) and distances from the singularity (n_joints,), rad."""
     angles = np.full((len(ends), 3), np.nan)
     lock = np.full(len(ends), np.nan)
     for n in range(len(ends)):

@@ -40,7 +40,7 @@ def nearest_turn(angle: float, to: float) -> float:
 def decompose(
     kind: int, q: FloatArray, axes: IntArray, axis: FloatArray, before: FloatArray, limits: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Right-handed angles about the axes (3,), rad, and the distance from the singularity, rad.
+    """Return right-handed angles about the axes (3,), rad, and the distance from the singularity, rad.
 
     q: (4,) distal to proximal. axes: (3,) 0, 1, 2 for x, y, z. axis: (3,) unit, of a hinge.
     before: (3,) the angles of the instant before; NaN: a new start, inside the limits where possible.
@@ -51,6 +51,7 @@ def decompose(
     if kind == _SWING_TWIST:
         return _swing_twist(q, axes, before)
     angle = 2.0 * math.atan2(dot(q[1:], axis), q[0])
+    # An angle about one axis is known up to whole turns: the one nearest to the last angle is continuous.
     near = before[0] if math.isfinite(before[0]) else _middle(limits[0])
     angle = _brought_back(nearest_turn(angle, near), limits[0])
     return vector(angle, np.nan, np.nan), math.pi
@@ -80,7 +81,7 @@ def _cardan(
 
 @compiled
 def _within_limits(found: FloatArray, other: FloatArray, limits: FloatArray) -> FloatArray:
-    """Of the two ways to write a rotation, and their whole turns, the one that is most inside the limits."""
+    """Return that of two decompositions of a rotation, whole turns aside, that is most inside the limits."""
     middle = vector(_middle(limits[0]), _middle(limits[1]), _middle(limits[2]))
     found, other = _near(found, middle), _near(other, middle)
     return other if _excess(other, limits) < _excess(found, limits) else found

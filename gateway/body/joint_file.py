@@ -76,7 +76,7 @@ class Definition(_Strict):
         return self
 
     def angle_tuple(self) -> tuple[Angle, ...]:
-        """As the program uses them."""
+        """Return the angles of the entry as the program uses them."""
         return tuple(Angle(name, entry.vector(), _limits(entry)) for name, entry in self.angles.items())
 
 

@@ -31,7 +31,7 @@ def joint_positions(
 def joint_positions_into(
     p_w: FloatArray, parents: IntArray, offsets: FloatArray, q_wb: FloatArray, root_position: FloatArray
 ) -> None:
-    """The same into a given array."""
+    """Write joint positions as ``joint_positions`` does into ``p_w`` (n, 3)."""
     for i in range(len(parents)):
         parent = parents[i]
         if parent < 0:

@@ -132,7 +132,7 @@ def _parts(
 
 
 def _half_width(skeleton: Skeleton, root: int) -> float:
-    """Between the hips and the middle, m."""
+    """Return the distance from a hip to the middle, m."""
     hips = skeleton.offsets[skeleton.parents == root]
     return max(0.1, float(np.abs(hips[:, 2]).max(initial=0.0)))
 

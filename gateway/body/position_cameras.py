@@ -31,7 +31,7 @@ class PositionCameras(BaseModel):
     )
 
     def worn(self, person: WornSuit, positions: Sequence[int | None], path: Path) -> CameraPosition:
-        """As the suit has it.
+        """Return the cameras as the suit has them.
 
         person: that the subject's file describes; positions: ids of the rig's local devices of kind position.
         Raises ``SettingsError``, which names ``path``, where there is no such device, or the file names no

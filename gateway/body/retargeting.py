@@ -48,7 +48,7 @@ class Retargeter:
     """Solves frames of one person in their order. Not threadsafe."""
 
     def __init__(self, robot: Robot, skeleton: Skeleton) -> None:
-        """Raises ``GatewayError`` without the extra ``robot``."""
+        """Prepare to retarget a body to a robot. Raises ``GatewayError`` without the extra ``robot``."""
         try:
             self._mink: Any = importlib.import_module("mink")
             self._qp: Any = importlib.import_module("qpsolvers")

@@ -153,7 +153,7 @@ class WornLocalDevice(_Strict):
 
 
 def _rotation(value: Quaternion) -> Quaternion:
-    """Raises ``ValueError`` for one that is not of length 1."""
+    """Return the quaternion. Raises ``ValueError`` for one that is not of length 1."""
     norm = float(np.linalg.norm(value))
     if abs(norm - 1) > 0.01:
         raise ValueError(f"a quaternion w x y z of length 1 is wanted, this one has length {norm:.3f}")

@@ -49,7 +49,7 @@ class CalibrationEntry(_Strict):
     measured: str | None = Field(default=None, description="date of the calibration, for people")
 
     def model(self) -> SensorCalibration:
-        """As the program uses it."""
+        """Return the calibration as the program uses it."""
         return SensorCalibration(
             np.array(self.accelerometer.matrix, dtype=np.float64),
             np.array(self.accelerometer.bias, dtype=np.float64),

@@ -122,6 +122,6 @@ def subject_content(
 
 
 def write_subject(path: Path, content: dict[str, Any]) -> None:
-    """Raises OSError as ``open`` does."""
+    """Write a subject file. Raises ``OSError`` as ``open`` does."""
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
     path.write_text(text, encoding="utf-8")

@@ -116,7 +116,7 @@ class _Builder:
         self._notes: list[str] = []
 
     def add(self, joint: UrdfJoint, where: str) -> None:
-        """The link at the end of a joint."""
+        """Add the link at the end of a joint; a fixed or sliding joint adds it to its parent's segment."""
         pose = self._at_zero[joint.parent] @ _transform(joint)
         self._at_zero[joint.child] = pose
         segment = self._segment[joint.parent]
@@ -192,7 +192,7 @@ def _root(text: str, where: str) -> Element:
 
 
 def _from_the_base(links: list[str], joints: list[UrdfJoint], where: str) -> list[str]:
-    """Links, parents before children. Raises ``SettingsError`` for what is no single tree."""
+    """Return links, parents before children. Raises ``SettingsError`` for what is no single tree."""
     children: dict[str, list[str]] = {link: [] for link in links}
     if len(children) < len(links):
         raise SettingsError(f"{where}: two links have the same name")
@@ -208,6 +208,7 @@ def _from_the_base(links: list[str], joints: list[UrdfJoint], where: str) -> lis
     order = [bases[0]]
     for link in order:
         order.extend(children[link])
+    # A loop beside the tree has no base, and so was never reached from it.
     if len(order) != len(links):
         raise SettingsError(f"{where}: {len(links) - len(order)} links are joined in a loop")
     return order
