@@ -31,12 +31,12 @@ class Finding:
 
 
 def good(subject: str, found: str) -> Finding:
-    """Nothing to do."""
+    """Return a finding that asks for nothing."""
     return Finding(subject, Verdict.GOOD, found)
 
 
 def warning(subject: str, found: str, remedy: str) -> Finding:
-    """Works, but not well or not for long."""
+    """Return a finding of something that works, but not well or not for long."""
     return Finding(subject, Verdict.WARNING, found, remedy)
 
 

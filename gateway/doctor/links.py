@@ -268,7 +268,7 @@ def _readability(links: Sequence[LinkSettings], operations: ModuleOperations) ->
 
 
 def _others_readability(links: Sequence[LinkSettings], makers: MakersModules) -> Iterator[Finding]:
-    """Of modules of other makers."""
+    """Yield findings on the data of other makers' modules."""
     for link in links:
         heard = makers.heard(link.name)
         unread = {reason: count for reason, count in heard.dropped.items() if reason != ANOTHER_SENDER}
@@ -332,8 +332,10 @@ def _line(subject: str, url: str, garbled: int, received: int, carries: str = SU
 
 
 def _signatures(subject: str, unverified: Mapping[Defect, int]) -> Iterator[Finding]:
-    """Of a signed link. Modules that have no count yet are told it: that is nothing to find."""
+    """Yield findings on a signed link."""
     for defect, count in unverified.items():
+        # A module without a count yet is told it by the gateway: that is the normal start, and nothing to
+        # find.
         if defect is not Defect.OUTDATED:
             remedy = "give every module that may send there the key of the link; find out who else sends"
             yield warning(subject, f"{count:,} wire frames dropped ({defect.name}): {defect.value}", remedy)

@@ -32,7 +32,9 @@ class PortChoice:
         read_anew: Callable[[], Awaitable[None]],
         here: Surroundings | None = None,
     ) -> None:
-        """read_anew: lets the service of the changed file take over; raises ``GatewayError`` if it cannot."""
+        """Change the url in ``config``; ``read_anew`` restarts the service with it, or raises
+        ``GatewayError``.
+        """
         self._config, self._service, self._read_anew = config, service, read_anew
         self._here = here or Surroundings()
 
