@@ -99,7 +99,7 @@ def cameras(
 
 
 def _check_cameras(output: Path, *, force: bool) -> None:
-    """Raises ``GatewayError`` for what can be told before any picture is read."""
+    """Raise ``GatewayError`` for what can be found before any picture is read."""
     require_video_extra()
     refuse_existing(output, force)
 
@@ -107,8 +107,11 @@ def _check_cameras(output: Path, *, force: bool) -> None:
 def _calibrated(
     boards: tuple[str, str], lenses: Sequence[str], scene: Sequence[str], every: int, *, is_shown: bool
 ) -> CamerasResult:
-    """boards: of the lens pictures and of the scene, as the command line has them; without a scene, the
-    lens pictures are of common instants."""
+    """Return calibrated cameras.
+
+    boards: of the lens pictures and of the scene, as the command line has them.
+    scene: empty where the lens pictures are of common instants.
+    """
     from gateway.calibration.boards import board_of
     from gateway.calibration.cameras_session import calibrate_cameras
 

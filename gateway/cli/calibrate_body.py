@@ -42,7 +42,7 @@ _FULL_BAR = np.radians(120.0)
 
 
 def live_table(session: BodySession, step: Step | None, live: Sequence[Liveliness]) -> Table:
-    """A bar for every module: how fast it turns, and whether that is wanted now."""
+    """Return a bar for every module: how fast it turns, and whether that is wanted now."""
     from gateway.calibration.control import STILL
 
     wants_rest = step is None or step.kind is Kind.POSE
@@ -71,7 +71,7 @@ def modules_of(session: BodySession) -> list[tuple[int, str]]:
 
 
 def result_table(result: BodyResult) -> Table:
-    """A line a module: how good, how certain, and why not better."""
+    """Return a line a module: how good, how certain, and why not better."""
     table = Table("module", "segment", "quality", "orientation ±", "place ±", "why")
     for one in result.modules:
         quality = one.quality
@@ -159,7 +159,7 @@ def body(
 
 
 def versions(rig: Annotated[Path, typer.Argument(help="Rig file that `calibrate body` wrote.")]) -> None:
-    """Earlier versions of a rig file, the newest first."""
+    """List earlier versions of a rig file, the newest first."""
     from gateway.calibration.mounting import history
 
     for path in history(rig):
@@ -238,7 +238,10 @@ class _Guide:
         self._begin_ns = 0
 
     async def run(self, console: Console) -> BodyResult:
-        """Raises ``GatewayError`` when no module is heard, or nothing can be solved."""
+        """Guide through all steps.
+
+        Raises ``GatewayError`` when no module is heard, or nothing can be solved.
+        """
         await self._until_heard(console)
         for step in self._plan:
             await self._do(step, console)

@@ -48,7 +48,7 @@ _SIDES_NAMED = 3
 
 
 def advice(session: SensorSession, progress: Mapping[int, Progress]) -> str:
-    """What to do next, for the suit as a whole."""
+    """Return what to do next, for the suit as a whole."""
     key, modules = advice_on(session, progress)
     return _ADVICE[key].format(modules=", ".join(map(str, modules)))
 
@@ -65,7 +65,7 @@ _ADVICE = {
 
 
 def progress_table(session: SensorSession, progress: Mapping[int, Progress]) -> Table:
-    """How far every module is."""
+    """Return how far every module is."""
     table = Table("module", *session.sensors, "")
     for module, one in progress.items():
         cells = {
@@ -80,7 +80,7 @@ def progress_table(session: SensorSession, progress: Mapping[int, Progress]) -> 
 
 
 def result_table(found: Mapping[int, Mapping[str, Result | str]]) -> Table:
-    """What was found, and how good it is."""
+    """Return what was found, and how good it is."""
     table = Table("module", "sensor", "bias", "spread of the norm", "quality", "why")
     for module, results in found.items():
         for sensor, result in results.items():

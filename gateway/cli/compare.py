@@ -60,7 +60,7 @@ class Alignment:
     own_headings: bool = False
 
     def compare(self, first: Tracks, second: Tracks) -> Agreement:
-        """Raises ``GatewayError`` as ``agreement`` does."""
+        """Return how far two sources agree. Raises ``GatewayError`` as ``agreement`` does."""
         from gateway.agreement import agreement
 
         return agreement(
@@ -144,7 +144,7 @@ def _recorded(path: Path, is_shown: bool) -> SkeletonArrays:
 
 
 def _compare_results(files: Files, plot: Path | None, as_json: bool) -> None:
-    """Two results of one session, as they stand."""
+    """Compare two results of one session without aligning them."""
     from gateway.recording.difference import difference
 
     first, second = (_recorded(path, not as_json) for path in files)
@@ -159,7 +159,7 @@ def _compare_results(files: Files, plot: Path | None, as_json: bool) -> None:
 
 
 def _compare_sources(files: Files, alignment: Alignment, plot: Path | None, as_json: bool) -> None:
-    """Two sources of one motion, aligned; with a note where headings of their own would make them agree."""
+    """Compare two sources of one motion, aligned; note if headings of their own would make them agree."""
     tracks = _tracks_of_files(files, not as_json)
     found = alignment.compare(*tracks)
     _show(_agreement_page(found, _title(files)), _plain(found), files, plot, as_json)
@@ -191,7 +191,7 @@ def _show(page: AnglePage, plain: Mapping[str, Any], files: Files, plot: Path | 
 
 
 def _table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> Table:
-    """Numbers, a row a segment."""
+    """Return a table of numbers, a row a segment."""
     table = Table(*heads)
     for column in table.columns[1:]:
         column.justify = "right"
@@ -201,7 +201,7 @@ def _table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> Table:
 
 
 def _renamed(pairs: list[str]) -> dict[str, str]:
-    """Raises ``GatewayError`` for what is not ``first=second``."""
+    """Return names by name from ``first=second``. Raises ``GatewayError`` for other texts."""
     split = [pair.split("=") for pair in pairs]
     for pair, names in zip(pairs, split, strict=True):
         if len(names) != 2 or not all(names):
@@ -291,7 +291,7 @@ def _agreement_page(found: Agreement, title: str) -> AnglePage:
 
 
 def difference_page(found: Difference, title: str) -> AnglePage:
-    """The difference of two results of one session, to be shown or saved."""
+    """Return the difference of two results of one session as a page."""
     from gateway.report.angle_page import AnglePage
 
     rows = [
@@ -328,7 +328,7 @@ class Live:
 
 
 def run_live(settings: MqttSettings, wanted: Live) -> int:
-    """The exit code: 0 on Ctrl-C or when all is done, 1 with one line when the broker cannot be used."""
+    """Return the exit code: 0 on Ctrl-C or when done, 1 after one line if the broker cannot be used."""
     from gateway.outputs.subscriber import BrokerUnreachableError
 
     try:

@@ -74,7 +74,7 @@ class Truth:
         return len(self._times_s)
 
     def errors_deg(self) -> FloatArray:
-        """RMSE by segment: total, inclination, heading, (n_segments, 3), after settling."""
+        """Return the RMSE by segment after settling, °, (n_segments, 3): total, inclination, heading."""
         times = np.array(self._times_s)
         settled = times > SETTLING_S
         if not settled.any():
@@ -83,7 +83,7 @@ class Truth:
         return np.stack([rmse_deg(part) for part in errors], axis=-1)
 
     def busy_note(self, stream: Stream, expected_loss: float) -> str | None:
-        """Says so where this machine did not keep up with a suit in real time; None where it did.
+        """Return a note that this machine did not keep up with a suit in real time; None where it did.
 
         stream: of the gateway; what it never got could not be handed over in time, but for the
         ``expected_loss`` (share) that is emulated.
@@ -195,7 +195,7 @@ def _startable(settings: GatewaySettings, tell: Callable[[str], object]) -> Gate
 
 @contextlib.contextmanager
 def _live_page(settings: GatewaySettings, page_port: int | None, console: Console) -> Iterator[None]:
-    """``mocap-gateway view`` as a process of its own, as a user would start it; without the extra, a hint."""
+    """Run ``mocap-gateway view`` as a process of its own meanwhile; print a hint without the extra."""
     if page_port is None:
         yield
         return
@@ -222,7 +222,7 @@ async def _run(
     seconds: float | None,
     beside: contextlib.ExitStack,
 ) -> None:
-    """beside: what listens to the broker, and is to be gone before it."""
+    """Run service and emulator until the end of the demo; ``beside`` closes before the broker does."""
     async with _emulator(settings, imperfections) as start_ns:
         truth.start_ns = start_ns
         serving = asyncio.create_task(service.run())
@@ -233,6 +233,7 @@ async def _run(
             beside.close()
         for task in (watching, serving):
             task.cancel()
+        # Both are gathered before any error is raised: the other task must not outlive the demo.
         results = await asyncio.gather(watching, serving, return_exceptions=True)
     for result in results:
         if isinstance(result, Exception):
@@ -241,7 +242,7 @@ async def _run(
 
 @contextlib.asynccontextmanager
 async def _emulator(settings: GatewaySettings, imperfections: str) -> AsyncIterator[int]:
-    """The emulated suit as a process of its own; gives the gateway time of its motion's start."""
+    """Run the emulated suit as a process of its own; yield the gateway time at which its motion starts."""
     arguments = ["emulate", "--rig", settings.rig, "--on", "pty", "--link", settings.links[0].url]
     arguments += ["--imperfections", imperfections, "--seed", str(SEED), "--json"]
     arguments += ["--mode", _sampling_mode(settings), "--motion", "everyday"]
@@ -256,6 +257,7 @@ async def _emulator(settings: GatewaySettings, imperfections: str) -> AsyncItera
         yield int(json.loads(hello)["start_ns"])
     finally:
         with contextlib.suppress(ProcessLookupError):
+            # The process may have ended by itself, as after an error.
             process.terminate()
         await process.wait()
 
@@ -340,7 +342,7 @@ def _print_invitation(console: Console, settings: GatewaySettings, port: int) ->
 
 
 def _print_errors(truth: Truth, console: Console) -> None:
-    """The error of what was received over MQTT. Raises ``GatewayError`` when nothing came."""
+    """Print the error of what came over MQTT. Raises ``GatewayError`` when nothing came."""
     if truth.n_poses == 0:
         raise GatewayError("no pose came out of MQTT: see the messages above")
     errors = truth.errors_deg()

@@ -188,7 +188,7 @@ class Emulation:
 
 
 def faulty(traffic: SuitTraffic, path: Path) -> FaultySuit:
-    """A suit with the faults of a file. Raises ``GatewayError`` naming file and field."""
+    """Return a suit with the faults of a file. Raises ``GatewayError`` naming file and field."""
     try:
         return FaultySuit(traffic, load_settings(path, FaultPlan))
     except KeyError as error:
@@ -196,7 +196,7 @@ def faulty(traffic: SuitTraffic, path: Path) -> FaultySuit:
 
 
 def plan_of(source: object) -> FaultPlan:
-    """What goes wrong with a source of transmissions: nothing, unless it is a faulty suit."""
+    """Return what goes wrong with a source of transmissions; nothing unless it is a faulty suit."""
     return source.plan if isinstance(source, FaultySuit) else FaultPlan()
 
 
@@ -213,13 +213,13 @@ Companion = Callable[[int], EmulatedSuit]
 
 
 def without_position_devices(suit: WornSuit) -> WornSuit:
-    """The suit without the local devices whose part the satellite receiver plays."""
+    """Return the suit without the local devices whose part the satellite receiver plays."""
     kept = tuple(d for d in suit.local_devices if d.quantity not in {Quantity.POSITION, Quantity.VELOCITY})
     return replace(suit, local_devices=kept)
 
 
 def companion(wanted: Emulation, link: Path) -> Companion:
-    """The receiver, to be started with the suit. Raises ``GatewayError`` for an unknown format."""
+    """Return the receiver, to be started with the suit. Raises ``GatewayError`` for an unknown format."""
     kind = wanted.gnss_format
     if kind not in FORMATS:
         raise GatewayError(f"--gnss-format {kind}: unknown{nearest(kind, FORMATS)}")
@@ -236,7 +236,7 @@ def companion(wanted: Emulation, link: Path) -> Companion:
 
 
 def _path(suit: WornSuit, seed: int) -> Callable[[float], tuple[FloatArray, FloatArray]]:
-    """Of the root's local device that measures position (its joint, if there is none)."""
+    """Return the path of the root's device that measures position; of its joint if there is none."""
     motion = move_about(dress(without_position_devices(suit)), suit.skeleton.name, seed)
     positions = [d.position for d in suit.local_devices if d.segment == 0 and d.quantity is Quantity.POSITION]
     arm = positions[0] if positions else np.zeros(3)

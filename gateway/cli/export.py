@@ -41,7 +41,7 @@ _UNITS_PER_M = {Unit.M: 1.0, Unit.CM: 100.0, Unit.MM: 1000.0}
 
 
 def units_per_m(unit: Unit) -> float:
-    """How many of it make a metre."""
+    """Return how many of a unit make a metre."""
     return _UNITS_PER_M[unit]
 
 

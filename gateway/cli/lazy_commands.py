@@ -32,17 +32,17 @@ class LazyGroup(TyperGroup):
         self.commands = {name: TyperCommand(name, help=each.summary) for name, each in self.lazy.items()}
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Names, in the order of ``lazy``."""
+        """Return the names, in the order of ``lazy``."""
         return list(self.lazy)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command itself; for the list of commands, no more than its summary."""
+        """Return a command; while commands are listed, only its summary."""
         if cmd_name not in self.lazy or self._is_listing:
             return self.commands.get(cmd_name)
         return load(cmd_name, self.lazy[cmd_name])
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """The group's help, without importing its members."""
+        """Write the group's help without importing its members."""
         self._is_listing = True
         try:
             super().format_help(ctx, formatter)
@@ -51,8 +51,11 @@ class LazyGroup(TyperGroup):
 
 
 def load(name: str, command: LazyCommand) -> Any:
-    """Imports a subcommand. Nothing of what an import makes is garbage, so none is looked for: a tenth of the
-    time."""
+    """Import and return a subcommand.
+
+    The garbage collector pauses meanwhile: an import makes no garbage, and searching takes a tenth of its
+    time.
+    """
     module, attribute = command.source.split(":")
     gc.disable()
     try:

@@ -195,7 +195,7 @@ def _options(
         False, "--version", callback=_print_version, is_eager=True, help="Show the version and exit."
     ),
 ) -> None:
-    """Options before the subcommand."""
+    """Take options before the subcommand."""
 
 
 video_app = typer.Typer(

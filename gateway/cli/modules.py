@@ -215,7 +215,7 @@ def _saved_modules(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def print_changes(changes: list[dict[str, Any]], otherwise: str) -> None:
-    """One line a setting that was changed, or ``otherwise``."""
+    """Print one line for every setting that was changed, or ``otherwise``."""
     for change in changes:
         _print_change(change["unique_id"], change["before"], change["after"])
     if not changes:
@@ -402,7 +402,7 @@ class _Fitting:
         return 1 if skipped else 0
 
     async def _fit(self, segment: str, count: str) -> str:
-        """Until the segment has its module: ``done``; or the key that leaves it."""
+        """Ask until the segment has its module; return ``done``, or the key that was pressed to leave it."""
         from gateway.modules.motion import AmbiguousMotionError
         from gateway.modules.operations import RequestError
 

@@ -74,7 +74,8 @@ class SuitChoice:
 class Operations(Protocol):
     """What carries out the verbs of ``gateway.contract.requests``."""
 
-    async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]: ...
+    async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+        """Perform a verb of ``gateway.modules``. Raises ``GatewayError``."""
 
 
 with_suit = with_options(SuitChoice)
@@ -83,7 +84,7 @@ with_suit = with_options(SuitChoice)
 
 @contextlib.asynccontextmanager
 async def operations_of(choice: SuitChoice, needs_all: bool = True) -> AsyncIterator[Operations]:
-    """The suit, opened; needs_all: whether all its links must be there, or only one of them.
+    """Open the suit; ``needs_all``: whether all its links must be there, or only one of them.
 
     Raises ``GatewayError`` or ``LinkError``.
     """

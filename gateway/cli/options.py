@@ -20,7 +20,7 @@ Command = Callable[..., None]
 
 
 def with_options(group: type[Any]) -> Callable[[Command], Command]:
-    """For a command whose first parameter is a ``group``: the options of one stand in its place.
+    """Give a command the options of ``group`` in place of its first parameter.
 
     group: dataclass whose fields are annotated as typer wants options, every one with a default.
     """
@@ -58,7 +58,7 @@ BaseTopic = Annotated[str, typer.Option(help="First part of the topics.")]
 
 
 def broker_settings(ca_file: Path | None, **options: Any) -> MqttSettings:
-    """Settings of the options given, by their names. Ends the command with what is wrong in them."""
+    """Return settings of the options by name; exit with status 2 and a line for what is wrong in them."""
     try:
         return MqttSettings(tls=None if ca_file is None else TlsSettings(ca_file=ca_file), **options)
     except ValidationError as error:
@@ -79,7 +79,7 @@ class BrokerChoice:
     base_topic: BaseTopic = "mocap"
 
     def settings(self) -> MqttSettings:
-        """As ``broker_settings``."""
+        """Return the settings; exits as ``broker_settings``."""
         return broker_settings(**asdict(self))
 
 
@@ -88,7 +88,7 @@ with_broker = with_options(BrokerChoice)
 
 
 def seconds_of(option: str, text: str) -> tuple[float, float]:
-    """From when to when, s. Raises ``GatewayError``, which names the option."""
+    """Return from when to when, s. Raises ``GatewayError``, which names the option."""
     span = re.fullmatch(r"(\d+\.?\d*):(\d+\.?\d*)", text)
     if span is None or float(span[1]) >= float(span[2]):
         raise GatewayError(f"{option} {text}: seconds FROM:TO are wanted, such as 0.5:3")

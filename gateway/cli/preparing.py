@@ -24,7 +24,7 @@ _USUAL = "compiling the reconstruction once, for up to a minute; later starts fi
 
 @contextlib.contextmanager
 def report_compiling(tell: Callable[[str], object], line: str = _USUAL) -> Iterator[None]:
-    """Around work that calls kernels: one line when the first of them is not in the cache, one at the end.
+    """Print a line when the first kernel is compiled during the work, and one at the end.
 
     Nothing is said when all of them come from the cache. Numba is imported: for where it is needed anyway.
     """
@@ -50,8 +50,10 @@ def report_compiling(tell: Callable[[str], object], line: str = _USUAL) -> Itera
 
 @contextlib.contextmanager
 def _interruptible() -> Iterator[None]:
-    """Ctrl-C ends the work, in the main thread. Within a callback of the compiler the exception is lost, and
-    what the callback was for is then found missing: that ``RuntimeError`` is the interruption.
+    """Let Ctrl-C end the work in the main thread.
+
+    An exception raised within a callback of the compiler is lost, and what the callback was for is then found
+    missing: that ``RuntimeError`` is the interruption.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

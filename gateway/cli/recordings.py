@@ -148,7 +148,7 @@ def _overview(meta: RecordingMeta, summary: RecordingSummary) -> Table:
 
 
 def _text(text: str) -> Text:
-    """As it stands, neither obeyed by the terminal nor taken for markup: anybody may have made the file."""
+    """Return plain text, neither obeyed by the terminal nor taken for markup: the file may be anybody's."""
     return Text(printable(text))
 
 

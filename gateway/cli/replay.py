@@ -212,7 +212,7 @@ def _target(
 
 
 def speed_of(text: str) -> float | None:
-    """A factor; None for as fast as it goes. Raises ``GatewayError``."""
+    """Return a factor; None for as fast as possible. Raises ``GatewayError``."""
     if text == "max":
         return None
     try:

@@ -83,7 +83,9 @@ class _Supervisor:
     """Runs one service after another: a new one for every configuration that is read."""
 
     def __init__(self, config: Path, service: Service, to_compile: str | None = None) -> None:
-        """to_compile: a method that must be compiled before the configured service can take over."""
+        """Run ``service``; ``to_compile`` is a method that must be compiled before the configured one can
+        run.
+        """
         self._config = config
         self._to_compile = to_compile
         self._service = service
@@ -97,6 +99,7 @@ class _Supervisor:
         self._reloading: asyncio.Task[None] | None = None
 
     async def run(self) -> None:
+        """Run services one after another until a signal ends them."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, self._stop)
@@ -111,7 +114,7 @@ class _Supervisor:
             watchdog.cancel()
 
     async def _compile(self) -> None:
-        """In a process of its own; then the service starts anew with the method that is configured."""
+        """Compile in a process of its own, then restart the service with the method that is configured."""
         from gateway.service import readiness
 
         name = self._to_compile
@@ -306,7 +309,7 @@ async def _end_after(seconds: float, service: Service, running: asyncio.Future[N
 
 
 def _screen(service: Service, settings: GatewaySettings) -> Table:
-    """Counters, live."""
+    """Return the counters as they stand."""
     status = service.recording.status()
     modules = service.pipeline.stream.modules.values()
     written, lost = status.get("written", {}), sum(status.get("lost", {}).values())

@@ -26,7 +26,7 @@ def wide_console(narrowest: int = 0) -> Console:
 
 @contextlib.contextmanager
 def progress_bar(what: str, *, is_shown: bool = True) -> Iterator[Callable[[int, int], None]]:
-    """``with progress_bar("reading") as tell: tell(done, total)``. On standard error, gone at the end."""
+    """Show ``with progress_bar("reading") as tell: tell(done, total)`` on standard error, gone at the end."""
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not is_shown) as progress:
@@ -50,7 +50,7 @@ class TypedLines:
         threading.Thread(target=self._read, name="typed lines", daemon=True).start()
 
     async def next(self) -> str | None:
-        """The next line, stripped; None, from then on, at the end of the input."""
+        """Return the next line, stripped; None, from then on, at the end of the input."""
         if self.has_ended:
             return None
         line = await self._lines.get()
@@ -58,7 +58,7 @@ class TypedLines:
         return line
 
     def typed(self) -> str | None:
-        """The next line if there is one already; None: nothing has been typed, or no more."""
+        """Return the next line if there is one already; None: nothing was typed, or the input has ended."""
         if self._lines.empty():
             return None
         line = self._lines.get_nowait()

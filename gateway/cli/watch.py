@@ -145,7 +145,7 @@ def _shown(view: PoseView, now_ns: int, state: str, wanted: Watch) -> Renderable
 
 
 def run_watch(settings: MqttSettings, wanted: Watch) -> int:
-    """``watch_poses`` as a program: quiet on Ctrl-C and on a closed pipe, one line on errors."""
+    """Run ``watch_poses`` as a program: quiet on Ctrl-C and on a closed pipe, one line on errors."""
     from gateway.outputs.subscriber import BrokerUnreachableError
 
     try:
@@ -258,7 +258,7 @@ def view(
 
 
 def looking_token(token: AccessToken | None, file: Path | None) -> AccessToken | None:
-    """The token of who may only look; None: nobody only looks. Raises ``CredentialError``."""
+    """Return the token of who may only look, or None. Raises ``CredentialError``."""
     text = read_secret(file, LOOKING_TOKEN_VARIABLE, "--looking-token-file")
     if text is None:
         return None
@@ -288,7 +288,7 @@ class _Servers(NamedTuple):
 
 @contextlib.asynccontextmanager
 async def _page(place: _Place) -> AsyncIterator[_Servers]:
-    """A page behind its gate, while it is wanted. Raises ``GatewayError`` without the extra."""
+    """Serve a page behind its gate, while it is wanted. Raises ``GatewayError`` without the extra."""
     try:
         import viser
     except ImportError:
