@@ -21,7 +21,7 @@ class Balance:
         return self.total - sum(self.parts.values())
 
     def summary(self) -> dict[str, object]:
-        """For the health message."""
+        """Return total, parts and rest, for the health message."""
         return {"total": self.total, "parts": dict(self.parts), "unaccounted": self.unaccounted}
 
 
@@ -38,5 +38,5 @@ def joined(shares: Iterable[Balance]) -> list[Balance]:
 
 
 def unaccounted(balances: Sequence[Balance]) -> dict[str, int]:
-    """By name: what is left over, where that is anything but 0."""
+    """Return by name what is left over, where that is anything but 0."""
     return {balance.name: balance.unaccounted for balance in balances if balance.unaccounted}

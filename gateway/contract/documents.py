@@ -62,7 +62,7 @@ def published_models() -> list[type[Message]]:
 
 
 def json_schemas() -> dict[str, Schema]:
-    """JSON Schemas (draft 2020-12) that stand alone, by name: one a message, one a request."""
+    """Return JSON Schemas (draft 2020-12) that stand alone, by name: one a message, one a request."""
     schemas = {model.__name__: model.model_json_schema(mode="serialization") for model in published_models()}
     for verb, model in request_models().items():
         schemas[_request_name(verb)] = _with_transaction(model.model_json_schema())
@@ -139,7 +139,7 @@ def _with_transaction(schema: Schema) -> Schema:
 
 
 def _as_draft_7(schema: Any) -> Any:
-    """Tuples as draft 7 has them; the rest of what we use is the same in both."""
+    """Return a schema with tuples as draft 7 has them; all else that we use is the same in both."""
     if isinstance(schema, list):
         return [_as_draft_7(item) for item in schema]
     if not isinstance(schema, dict):
@@ -149,7 +149,7 @@ def _as_draft_7(schema: Any) -> Any:
 
 
 def _request_name(verb: str) -> str:
-    """``modules/card_list`` → ``ModulesCardListRequest``."""
+    """Return ``ModulesCardListRequest`` for ``modules/card_list``."""
     return "".join(word.capitalize() for word in re.split("[/_]", verb)) + "Request"
 
 

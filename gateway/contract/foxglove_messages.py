@@ -38,7 +38,7 @@ class FoxgloveEncoder:
     """What Foxglove shows of a body."""
 
     def __init__(self, skeleton: Skeleton) -> None:
-        """Raises ``GatewayError`` without the extra ``foxglove``."""
+        """Prepare to encode a skeleton. Raises ``GatewayError`` without the extra ``foxglove``."""
         self._library = foxglove_messages()
         self._skeleton = skeleton
         self._transforms = BodyTransforms(skeleton)

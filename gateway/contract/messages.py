@@ -253,13 +253,14 @@ class BodyMessage(Message):
 
     @model_validator(mode="after")
     def _is_a_tree(self) -> Self:
-        """Whoever reads a body builds it segment by segment; anybody may have published it."""
+        """Raise ``ValueError`` unless parents come before children: readers build segment by segment."""
         names: set[str] = set()
         for segment in self.segments:
             if segment.name in names:
                 raise ValueError(f"segment '{segment.name}' stands there twice")
             if segment.parent not in names and (segment.parent is not None or names):
                 raise ValueError(f"segment '{segment.name}' does not hang from one before it")
+            # Anybody may publish a body, and a viewer that believes in kilometres shows nothing.
             if max(map(abs, (*segment.offset, *segment.tip))) > _LONGEST_SEGMENT:
                 raise ValueError(f"segment '{segment.name}' is longer than {_LONGEST_SEGMENT:g} m")
             names.add(segment.name)
@@ -302,7 +303,7 @@ class PoseMessage(Message):
     @field_validator("t_ns", "seq")
     @classmethod
     def _fits(cls, value: int) -> int:
-        """JSON has integers of any length, and who reads a pose reckons with these."""
+        """Raise ``ValueError`` beyond 64 bits: JSON has integers of any length, readers of poses have not."""
         if not -(2**63) <= value < 2**63:
             raise ValueError("an integer of 64 bits is wanted")
         return value

@@ -41,11 +41,13 @@ class _Layout:
         self._bytes += bytes(8)
 
     def text(self, text: str) -> None:
+        """Append a text with its length, as CDR has it."""
         data = text.encode() + b"\0"
         self.count(len(data))
         self._bytes += data
 
     def count(self, n: int) -> None:
+        """Append an unsigned integer of 32 bits."""
         self._align(4)
         self._bytes += struct.pack("<I", n)
 
@@ -59,10 +61,12 @@ class _Layout:
         self._bytes += bytes(8 * n)
 
     def constants(self, values: Sequence[float]) -> None:
+        """Append numbers of 64 bits that stay the same in every message."""
         self._align(8)
         self._bytes += struct.pack(f"<{len(values)}d", *values)
 
     def finished(self) -> _Form:
+        """Return the form, to be filled for every message."""
         return _Form(bytes(self._bytes), self._stamps, self._numbers)
 
     def _align(self, size: int) -> None:
@@ -104,7 +108,9 @@ class TransformsEncoder:
         self._form = layout.finished()
 
     def encode(self, time_ns: int, translations: FloatArray, rotations: FloatArray) -> bytes:
-        """translations: (n, 3) m, in the parent's axes; rotations: (n, 4) w x y z, child to parent."""
+        """Return a message of translations (n, 3), m, in the parent's axes, and rotations (n, 4), child to
+        parent.
+        """
         return self._form.filled(time_ns, np.hstack([translations, np.roll(rotations, -1, axis=1)]))
 
 
@@ -126,7 +132,7 @@ class JointStateEncoder:
         self._form = layout.finished()
 
     def encode(self, time_ns: int, angles: FloatArray) -> bytes:
-        """angles: (n,) rad; with rates (2, n), rad/s below."""
+        """Return a message of angles (n,), rad; with rates (2, n), rad/s below."""
         return self._form.filled(time_ns, angles)
 
 
@@ -134,7 +140,7 @@ class BodyJointStates:
     """The joint angles of a body as ``JointState``: see ``angle_names``."""
 
     def __init__(self, skeleton: Skeleton, body: str) -> None:
-        """body: id of the person, by REP 155."""
+        """Prepare for a skeleton; ``body`` is the id of the person, by REP 155."""
         names = angle_names(skeleton.joints)
         self.names = [name for *_, name in names]
         self.topic = "/joint_states" if skeleton.stature_m is None else f"/humans/bodies/{body}/joint_states"
@@ -144,7 +150,9 @@ class BodyJointStates:
         self._encoder = JointStateEncoder(self.names)
 
     def encode(self, time_ns: int, q_wb: FloatArray) -> bytes:
-        """q_wb: (S, 4), NaN where not known; poses in order, since angles are continuous."""
+        """Return a message of orientations (S, 4), NaN where unknown; poses in order, as angles are
+        continuous.
+        """
         angles = self._joints.update(np.ascontiguousarray(q_wb)).angles
         return self._encoder.encode(time_ns, angles[self._rows[:, 0], self._rows[:, 1]])
 
@@ -165,7 +173,7 @@ class ImuEncoder:
         self._form = layout.finished()
 
     def encode(self, time_ns: int, angular_rate: FloatArray, specific_force: FloatArray) -> bytes:
-        """Rad/s and m/s², (3,) each."""
+        """Return a message of angular rate, rad/s, and specific force, m/s², (3,) each."""
         return self._form.filled(time_ns, np.concatenate([angular_rate, specific_force]))
 
 
@@ -181,7 +189,7 @@ class MagneticFieldEncoder:
         self._form = layout.finished()
 
     def encode(self, time_ns: int, field_ut: FloatArray) -> bytes:
-        """field_ut: (3,) µT."""
+        """Return a message of the field (3,), µT."""
         return self._form.filled(time_ns, field_ut * 1e-6)
 
 
@@ -189,7 +197,7 @@ class BodyTransforms:
     """The frames of a body, each in that of its parent segment; the root in the world's."""
 
     def __init__(self, skeleton: Skeleton, prefix: str = "", world: str = WORLD_FRAME) -> None:
-        """prefix: before the names of all frames but the world's."""
+        """Prepare for a skeleton; ``prefix`` goes before the names of all frames but the world's."""
         self.names = [
             (world if parent < 0 else prefix + skeleton.segment_names[parent], prefix + name)
             for name, parent in zip(skeleton.segment_names, skeleton.parents.tolist(), strict=True)

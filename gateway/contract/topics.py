@@ -115,7 +115,7 @@ class Topics:
         return f"{self.root}/{MODULE_STATE.format(id=module)}"
 
     def module_availability(self, module: int) -> str:
-        """``online`` or ``offline``: whether a module is heard; retained."""
+        """Return the topic that says whether a module is ``online`` or ``offline``; retained."""
         return f"{self.root}/{MODULE_AVAILABILITY.format(id=module)}"
 
     def request(self, verb: str) -> str:
