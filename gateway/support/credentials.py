@@ -47,7 +47,10 @@ class AccessToken:
     """What somebody must show to be let in. Neither printed nor compared in a time that tells about it."""
 
     def __init__(self, text: str) -> None:
-        """Raises ``CredentialError`` for one that could be guessed or cannot stand in an address."""
+        """Keep a token.
+
+        Raises ``CredentialError`` for one that could be guessed or cannot stand in an address.
+        """
         if (
             len(text) < SHORTEST_TOKEN
             or not text.isascii()

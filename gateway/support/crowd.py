@@ -21,7 +21,7 @@ class Crowd(Generic[_Visitor]):
     """
 
     def __init__(self, most: int, most_of_one: int) -> None:
-        """most: connections at one time; most_of_one: of one address, with a request being answered."""
+        """Admit ``most`` connections at a time, and ``most_of_one`` requests of one address."""
         self._most = most
         self._most_of_one = most_of_one
         self._silent: dict[_Visitor, str] = {}  # the oldest first
@@ -48,7 +48,10 @@ class Crowd(Generic[_Visitor]):
             return displaced
 
     def speak(self, visitor: _Visitor) -> None:
-        """A connection's request is whole. Raises ``CrowdedError`` when its address has too many already."""
+        """Note that a connection's request is whole.
+
+        Raises ``CrowdedError`` if its address has too many already.
+        """
         with self._lock:
             address = self._silent.pop(visitor, None)
             if address is None:
@@ -58,7 +61,7 @@ class Crowd(Generic[_Visitor]):
             self._speaking[visitor] = address
 
     def leave(self, visitor: _Visitor) -> None:
-        """A connection has ended."""
+        """Note that a connection has ended."""
         with self._lock:
             self._silent.pop(visitor, None)
             self._speaking.pop(visitor, None)

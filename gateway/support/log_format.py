@@ -18,6 +18,7 @@ class JsonFormatter(logging.Formatter):
     """time (UTC, ISO 8601), level, logger, message, and the traceback where there is one."""
 
     def format(self, record: logging.LogRecord) -> str:
+        """Return a record as one line of JSON."""
         line = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
@@ -30,7 +31,7 @@ class JsonFormatter(logging.Formatter):
 
 
 def set_up_logging(level: str, wanted: LogFormat) -> None:
-    """Lines to standard error. auto: human on a terminal, JSON elsewhere."""
+    """Send log lines to standard error; ``auto`` is text on a terminal, JSON elsewhere."""
     is_json = wanted == "json" or (wanted == "auto" and not sys.stderr.isatty())
     handler = logging.StreamHandler()
     handler.setFormatter(JsonFormatter() if is_json else logging.Formatter(_HUMAN))

@@ -21,7 +21,7 @@ _bounded: weakref.WeakSet[asyncio.AbstractEventLoop] = weakref.WeakSet()
 
 
 def bound_memory() -> None:
-    """Of the running event loop's process, before it starts anything; does nothing for the second time.
+    """Bound the memory of the event loop's process, before it starts anything; a second call does nothing.
 
     glibc gives every thread that allocates a heap of its own, which never shrinks, and a pool of threads
     makes a new one whenever all are busy: megabytes at a time, hours after the start. Both are settled here.
@@ -45,7 +45,7 @@ def bound_memory() -> None:
 
 
 async def give_back() -> None:
-    """Every so often, for ever: what is free within the heap goes back to the system.
+    """Return what is free within the heap to the system, every so often, for ever.
 
     By itself glibc gives back only what is free at the heap's upper end. Every burst (a second of samples at
     once, after the machine or a cable paused) moves that end up, and one small block that stays there
@@ -59,8 +59,9 @@ async def give_back() -> None:
 
 
 def _started_pool() -> ThreadPoolExecutor:
-    """All of its threads run already."""
+    """Return a pool of which all threads run already."""
     pool = ThreadPoolExecutor(POOL_THREADS, thread_name_prefix="gateway")
+    # Each thread waits here, so that no thread can take two of the tasks and leave another unstarted.
     all_run = threading.Barrier(POOL_THREADS + 1)
     for _ in range(POOL_THREADS):
         pool.submit(all_run.wait)

@@ -13,7 +13,7 @@ from gateway.errors import GatewayError
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Around what writes a file or folder: raise ``GatewayError``, which names it, for an ``OSError``."""
+    """Raise ``GatewayError``, which names ``path``, for an ``OSError`` in what writes it."""
     try:
         yield
     except OSError as error:
