@@ -45,7 +45,7 @@ def coverage_percent(errors: FloatArray, sigma: FloatArray) -> float:
 
 
 def _times_conjugate(q: FloatArray, p: FloatArray) -> FloatArray:
-    """q ⊗ p*, (..., 4): takes reference world axes to estimated world axes."""
+    """Return q ⊗ p*, (..., 4): it takes reference world axes to estimated world axes."""
     qw, qx, qy, qz = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
     pw, px, py, pz = np.moveaxis(np.asarray(p, dtype=np.float64) * [1.0, -1.0, -1.0, -1.0], -1, 0)
     return np.stack(

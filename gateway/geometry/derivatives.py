@@ -10,7 +10,7 @@ from gateway.geometry.vectors import cross
 
 @compiled
 def angular_rate(R_before: FloatArray, R_now: FloatArray, dt: float) -> FloatArray:
-    """ω = log(R_beforeᵀ R_now) / Δt, segment axes, rad/s: the mean rate over the step.
+    """Return ω = log(R_beforeᵀ R_now) / Δt, segment axes, rad/s: the mean rate over the step.
 
     Shapes (3, 3), (3, 3) -> (3,).
     """
@@ -37,8 +37,8 @@ def difference_of_means(
 
 @compiled
 def point_acceleration(rate_derivative: FloatArray, rate: FloatArray, arm: FloatArray) -> FloatArray:
-    """[ω̇, ω] ⊳ r = ω̇ × r + ω × (ω × r): acceleration of a point at ``arm`` from the segment's origin.
+    """Return the acceleration of a point at ``arm`` from the segment's origin.
 
-    All in segment axes; rad/s², rad/s, m -> m/s².
+    [ω̇, ω] ⊳ r = ω̇ × r + ω × (ω × r), all in segment axes; rad/s², rad/s, m -> m/s².
     """
     return cross(rate_derivative, arm) + cross(rate, cross(rate, arm))

@@ -25,7 +25,7 @@ def quaternion(w: float, x: float, y: float, z: float) -> FloatArray:
 
 @compiled
 def multiply(q_ab: FloatArray, q_bc: FloatArray) -> FloatArray:
-    """q_ac; shapes (4,), (4,) -> (4,)."""
+    """Return q_ac; shapes (4,), (4,) -> (4,)."""
     aw, ax, ay, az = q_ab
     bw, bx, by, bz = q_bc
     return quaternion(
@@ -38,13 +38,13 @@ def multiply(q_ab: FloatArray, q_bc: FloatArray) -> FloatArray:
 
 @compiled
 def conjugate(q_ab: FloatArray) -> FloatArray:
-    """q_ba; shape (4,) -> (4,)."""
+    """Return q_ba; shape (4,) -> (4,)."""
     return quaternion(q_ab[0], -q_ab[1], -q_ab[2], -q_ab[3])
 
 
 @compiled
 def rotate(q_ab: FloatArray, v_b: FloatArray) -> FloatArray:
-    """v_a; shapes (4,), (3,) -> (3,)."""
+    """Return v_a; shapes (4,), (3,) -> (3,)."""
     v_a = np.empty(3)
     rotate_into(v_a, q_ab, v_b)
     return v_a
@@ -52,7 +52,7 @@ def rotate(q_ab: FloatArray, v_b: FloatArray) -> FloatArray:
 
 @compiled
 def rotate_into(v_a: FloatArray, q_ab: FloatArray, v_b: FloatArray | Vector3) -> None:
-    """v_a ← v_b rotated, as ``rotate`` does; v_a is not v_b."""
+    """Write v_b, rotated as ``rotate`` does, into v_a, which must not be v_b."""
     w, x, y, z = q_ab[0], q_ab[1], q_ab[2], q_ab[3]
     # t = 2 u × v;  v' = v + w t + u × t
     tx = 2.0 * (y * v_b[2] - z * v_b[1])
@@ -65,7 +65,7 @@ def rotate_into(v_a: FloatArray, q_ab: FloatArray, v_b: FloatArray | Vector3) ->
 
 @compiled
 def rotate_inverse(q_ab: FloatArray, v_a: FloatArray) -> FloatArray:
-    """v_b; shapes (4,), (3,) -> (3,)."""
+    """Return v_b; shapes (4,), (3,) -> (3,)."""
     return rotate(conjugate(q_ab), v_a)
 
 
@@ -118,7 +118,7 @@ def slerp(q_wa: FloatArray, q_wb: FloatArray, fraction: float) -> FloatArray:
 
 @compiled
 def to_matrix(q_ab: FloatArray) -> FloatArray:
-    """R_ab with v_a = R_ab v_b; shape (4,) -> (3, 3)."""
+    """Return R_ab with v_a = R_ab v_b; shape (4,) -> (3, 3)."""
     w, x, y, z = q_ab
     R = np.empty((3, 3))
     R[0, 0], R[0, 1], R[0, 2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
@@ -129,7 +129,7 @@ def to_matrix(q_ab: FloatArray) -> FloatArray:
 
 @compiled
 def from_matrix(R_ab: FloatArray) -> FloatArray:
-    """q_ab, unit, w ≥ 0; shape (3, 3) -> (4,)."""
+    """Return q_ab, unit, w ≥ 0; shape (3, 3) -> (4,)."""
     q = np.empty(4)
     from_matrix_into(q, R_ab)
     return q
@@ -137,7 +137,7 @@ def from_matrix(R_ab: FloatArray) -> FloatArray:
 
 @compiled
 def from_matrix_into(q_ab: FloatArray, R_ab: FloatArray) -> None:
-    """The same into a given array.
+    """Write what ``from_matrix`` returns into a given array.
 
     Shepperd's method: the largest of the four components is taken from the diagonal, the others
     from sums and differences, so nothing is divided by a small number.

@@ -30,7 +30,7 @@ def from_rotation_vector(r: FloatArray) -> FloatArray:
 
 @compiled
 def exponential_into(R: FloatArray, x: float, y: float, z: float) -> None:
-    """R ← exp([r]×), r = (x, y, z) rad; (3, 3)."""
+    """Write R ← exp([r]×), r = (x, y, z) rad; (3, 3)."""
     q = x * x + y * y + z * z
     if q < SMALL_TURN**2:  # sin a / a and (1 − cos a) / a²
         a = 1.0 - q * (1 / 72) * (1.0 - q * (1 / 110) * (1.0 - q * (1 / 156)))
@@ -58,7 +58,7 @@ def multiply(A: FloatArray, B: FloatArray) -> FloatArray:
 
 @compiled
 def multiply_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
-    """C ← A B; shapes (3, 3). C is neither A nor B."""
+    """Write C ← A B; shapes (3, 3). C is neither A nor B."""
     for i in range(3):
         for j in range(3):
             C[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
@@ -66,7 +66,7 @@ def multiply_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
 
 @compiled
 def copy_into(C: FloatArray, A: FloatArray) -> None:
-    """C ← A; shapes (3, 3)."""
+    """Write C ← A; shapes (3, 3)."""
     for i in range(3):
         for j in range(3):
             C[i, j] = A[i, j]
@@ -74,13 +74,13 @@ def copy_into(C: FloatArray, A: FloatArray) -> None:
 
 @compiled
 def turn(E: FloatArray, v: FloatArray) -> None:
-    """v ← E v in place; shapes (3, 3), (3,)."""
+    """Rotate v ← E v in place; shapes (3, 3), (3,)."""
     rotate_into(v, E, v)
 
 
 @compiled
 def rotate_into(v_a: FloatArray, R_ab: FloatArray, v_b: FloatArray) -> None:
-    """v_a ← R_ab v_b; shapes (3,), (3, 3), (3,); v_a may be v_b."""
+    """Write v_a ← R_ab v_b; shapes (3,), (3, 3), (3,); v_a may be v_b."""
     x, y, z = v_b[0], v_b[1], v_b[2]
     for i in range(3):
         v_a[i] = R_ab[i, 0] * x + R_ab[i, 1] * y + R_ab[i, 2] * z
@@ -88,7 +88,7 @@ def rotate_into(v_a: FloatArray, R_ab: FloatArray, v_b: FloatArray) -> None:
 
 @compiled
 def turn_columns(E: FloatArray, R: FloatArray) -> None:
-    """R ← E R in place; shapes (3, 3)."""
+    """Rotate R ← E R in place; shapes (3, 3)."""
     for j in range(3):
         x, y, z = R[0, j], R[1, j], R[2, j]
         for i in range(3):
@@ -97,7 +97,7 @@ def turn_columns(E: FloatArray, R: FloatArray) -> None:
 
 @compiled
 def turn_rows(R: FloatArray, E: FloatArray) -> None:
-    """R ← R E in place; shapes (3, 3)."""
+    """Rotate R ← R E in place; shapes (3, 3)."""
     for i in range(3):
         x, y, z = R[i, 0], R[i, 1], R[i, 2]
         for j in range(3):
@@ -106,7 +106,7 @@ def turn_rows(R: FloatArray, E: FloatArray) -> None:
 
 @compiled
 def rotate(R_ab: FloatArray, v_b: FloatArray) -> FloatArray:
-    """v_a; shapes (3, 3), (3,) -> (3,)."""
+    """Return v_a; shapes (3, 3), (3,) -> (3,)."""
     return vector(
         R_ab[0, 0] * v_b[0] + R_ab[0, 1] * v_b[1] + R_ab[0, 2] * v_b[2],
         R_ab[1, 0] * v_b[0] + R_ab[1, 1] * v_b[1] + R_ab[1, 2] * v_b[2],
@@ -116,7 +116,7 @@ def rotate(R_ab: FloatArray, v_b: FloatArray) -> FloatArray:
 
 @compiled
 def rotate_inverse(R_ab: FloatArray, v_a: FloatArray) -> FloatArray:
-    """v_b; shapes (3, 3), (3,) -> (3,)."""
+    """Return v_b; shapes (3, 3), (3,) -> (3,)."""
     return vector(
         R_ab[0, 0] * v_a[0] + R_ab[1, 0] * v_a[1] + R_ab[2, 0] * v_a[2],
         R_ab[0, 1] * v_a[0] + R_ab[1, 1] * v_a[1] + R_ab[2, 1] * v_a[2],
@@ -126,7 +126,7 @@ def rotate_inverse(R_ab: FloatArray, v_a: FloatArray) -> FloatArray:
 
 @compiled
 def increment(R_wa: FloatArray, R_wb: FloatArray) -> FloatArray:
-    """log(R_waᵀ R_wb): rotation vector from orientation a to orientation b, in axes of a (and of b), rad.
+    """Return log(R_waᵀ R_wb): the rotation vector from orientation a to b, in axes of a (and of b), rad.
 
     Shapes (3, 3), (3, 3) -> (3,). The product is taken as I + R_waᵀ (R_wb − R_wa), whose subtraction
     is exact for neighbouring orientations, and the angle from the sine and the cosine together, so that
@@ -146,7 +146,7 @@ def increment(R_wa: FloatArray, R_wb: FloatArray) -> FloatArray:
 def from_two_vectors(
     primary_b: FloatArray, secondary_b: FloatArray, primary_w: FloatArray, secondary_w: FloatArray
 ) -> FloatArray:
-    """R_wb from two directions seen in both coordinates (TRIAD, Black 1964); lengths do not matter.
+    """Return R_wb from two directions seen in both coordinates (TRIAD, Black 1964); lengths do not matter.
 
     Shapes four times (3,) -> (3, 3). The primary pair is met exactly; of the secondary only the part
     across the primary is used. All NaN when the two are closer to parallel than ``PARALLEL``.

@@ -20,13 +20,13 @@ def vector(x: float, y: float, z: float) -> FloatArray:
 
 @compiled
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a × b; shapes (3,), (3,) -> (3,)."""
+    """Return a × b; shapes (3,), (3,) -> (3,)."""
     return vector(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @compiled
 def dot(a: FloatArray, b: FloatArray) -> float:
-    """a · b; shapes (3,), (3,)."""
+    """Return a · b; shapes (3,), (3,)."""
     product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return product
 
