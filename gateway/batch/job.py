@@ -105,7 +105,7 @@ def perform(job: Job) -> Outcome:
 
 
 def _make(job: Job, folder: Path) -> str | None:
-    """All results into ``folder``; says what was wrong with the recording."""
+    """Write all results into ``folder``; return what was wrong with the recording, or None."""
     task, recording = job.task, open_recording(job.source)
     name = job.source.stem
     if task.is_solved:
@@ -116,6 +116,7 @@ def _make(job: Job, folder: Path) -> str | None:
         note = None
     _export(recording, task, folder, name)
     if REPORT in task.to:
+        # The solved recording was only a step on the way to the other results.
         write_report(gather(recording), folder / f"{name}.html")
     if task.is_solved and SOLVED not in task.to:
         (folder / f"{name}.mcap").unlink()

@@ -18,13 +18,14 @@ class Manifest:
     """The file in the folder of the results. A line cut off by a power cut is passed over."""
 
     def __init__(self, folder: Path) -> None:
-        """Raises ``GatewayError`` when the folder cannot be written."""
+        """Open the manifest of a folder. Raises ``GatewayError`` when the folder cannot be written."""
         self.path = folder / NAME
         self._entries: dict[str, dict[str, Any]] = {}
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             text = self.path.read_text(encoding="utf-8") if self.path.exists() else ""
             self._file = self.path.open("a", encoding="utf-8")
+        # A batch that was killed may have left half a line: what is appended must not join it.
         if text and not text.endswith("\n"):
             self._file.write("\n")
         for line in text.splitlines():
@@ -59,7 +60,7 @@ class Manifest:
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Nothing more will be added."""
+        """Close the file: nothing more will be added."""
         self._file.close()
 
 
@@ -69,7 +70,7 @@ def _identity(path: Path) -> dict[str, Any]:
 
 
 def _is_same(path: Path, known: dict[str, Any]) -> bool:
-    """By size and time; where only the time differs (a copy), by content."""
+    """Return whether a file is the same by size and time; if only the time differs (a copy), by content."""
     status = path.stat()
     if status.st_size != known.get("bytes"):
         return False

@@ -86,7 +86,7 @@ def _processes(count: int) -> Executor:
 def _performed(
     executor: AbstractContextManager[Executor], jobs: Sequence[Job]
 ) -> Generator[tuple[Job, Outcome | None], None, None]:
-    """Jobs as they end; None where the process that had it died."""
+    """Yield jobs as they end; None in place of an outcome where the process that had it died."""
     others = multiprocessing.active_children()
     with executor as pool:
         try:
@@ -105,8 +105,10 @@ def _performed(
 
 @contextlib.contextmanager
 def _interrupts_for_this_process() -> Iterator[None]:
-    """Processes started meanwhile never see a Ctrl-C, which a terminal sends to all: what becomes of them is
-    decided here. One that comes meanwhile is seen at the end."""
+    """Keep Ctrl-C from processes that are started meanwhile, and raise it here at the end.
+
+    A terminal sends it to all of them, but what becomes of them is decided in this process.
+    """
     came: list[int] = []
     is_main = threading.current_thread() is threading.main_thread()
     # Blocked for what is started, and kept for later: another thread, such as that of a progress bar, does
