@@ -120,7 +120,7 @@ def suit_with_position(quantity: Quantity = Quantity.POSITION) -> WornSuit:
 
 
 def emulated(suit: WornSuit, case: Case, method: str = "joint", seed: int = 1) -> Run:
-    """One case through bytes, clocks and frames."""
+    """Return the run of one case through bytes, clocks and frames."""
     truth = move(dress(suit, LOCAL_SIGMA), suit.skeleton.name, seed)
     motion = truth
     if case.worn:
@@ -184,7 +184,7 @@ class Outcome:
 
 
 def outcome(run: Run, calm: Run, segments: list[int]) -> Outcome:
-    """Over the segments; a segment that is not defined counts as no error, its status says so."""
+    """Return the outcome over the segments; an undefined segment counts as no error, its status says so."""
     n = min(len(run.times_s), len(calm.times_s))
     at_calm = np.searchsorted(calm.times_s, run.times_s[:n] - 0.005).clip(0, len(calm.times_s) - 1)
     excess = run.error_deg[:n, segments] - calm.error_deg[at_calm][:, segments]
@@ -200,7 +200,7 @@ def outcome(run: Run, calm: Run, segments: list[int]) -> Outcome:
 
 
 def reported_after_s(run: Run, segments: list[int]) -> float:
-    """From the beginning until the status of all the segments is another than measured or interpolated."""
+    """Return the time from the fault until no segment counts as measured any more, s; NaN: never."""
     told = (run.status[:, segments] > Status.INTERPOLATED).all(axis=1) & (run.times_s >= run.case.begins_s)
     return float(run.times_s[told][0] - run.case.begins_s) if told.any() else np.nan
 
@@ -210,7 +210,7 @@ WALK_S = 2.75
 
 
 def doubtful_after_s(run: Run, segments: list[int]) -> float:
-    """From when the walk sets off until all the segments are doubtful; NaN: never."""
+    """Return the time from when the walk sets off until all the segments are doubtful, s; NaN: never."""
     told = (run.status[:, segments] == Status.DOUBTFUL).all(axis=1)
     return float(run.times_s[told][0] - WALK_S) if told.any() else np.nan
 
@@ -222,6 +222,6 @@ def is_finite(run: Run) -> bool:
 
 
 def largest_step_deg(run: Run, from_s: float, to_s: float) -> float:
-    """Of the error from one frame to the next, over all segments: what is seen as a jump."""
+    """Return the largest change of the tilt error from one frame to the next, °: what is seen as a jump."""
     now = (run.times_s >= from_s) & (run.times_s < to_s)
     return float(np.abs(np.diff(run.tilt_deg[now], axis=0)).max())

@@ -22,7 +22,7 @@ class BothWays:
     """Takes what a stream takes, and raises ``Difference`` where kernels give another result, bit for bit."""
 
     def __init__(self, make: Callable[[bool], Stream]) -> None:
-        """make: a new stream; True: with kernels."""
+        """Make two streams; ``make`` returns one with kernels for True, without for False."""
         self.compiled, self.readable = make(True), make(False)
         self._streams = self.compiled, self.readable
         self._heard: list[list[tuple[ReceivedPacket, int]]] = [[], []]

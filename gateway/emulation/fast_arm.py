@@ -64,7 +64,7 @@ ALL_ON = Switches(has_wobble=True, clock_residue_s=100e-6, is_field_disturbed=Tr
 
 
 def fast_arm() -> WornSuit:
-    """Five links in a row, a module beside the middle of each, the base a fixed point."""
+    """Return five links in a row, a module beside the middle of each, the base a fixed point."""
     n = len(LENGTHS_M)
     lengths = np.array(LENGTHS_M)
     offsets, tips, lever_arms = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
@@ -109,7 +109,7 @@ def fast_motion(suit: WornSuit, seed: int) -> BodyMotion:
 
 
 def felt(observed: list[ImuFrame]) -> FloatArray:
-    """RMS of each module's specific force once in motion, (n,) m/s²."""
+    """Return the RMS of each module's specific force once in motion, (n,) m/s²."""
     force = np.stack([frame.specific_force for frame in observed if frame.time_ns >= 4e9])
     rms: FloatArray = np.sqrt(np.mean(np.sum(force**2, axis=2), axis=0))
     return rms

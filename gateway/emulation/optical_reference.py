@@ -76,7 +76,7 @@ def _disagreement(turns: _Turns, lag_s: float) -> float:
 
 
 def gyroscope_disagreement(recording: Recording, from_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """RMSE of gyroscopes alone, two seconds at a time, degrees: total and tilt by segment, (S,) each.
+    """Return the RMSE of gyroscopes alone, two seconds at a time, °: total and tilt by segment, (S,) each.
 
     The gyroscopes begin every window with the constant turn that suits it best and have one bias and one
     3 × 3 matrix of scale and axes for the whole recording that suit it best: no estimator has these.

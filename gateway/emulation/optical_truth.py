@@ -167,7 +167,7 @@ def _raised(times: FloatArray, ease: FloatArray, generator: np.random.Generator)
 def _swap(
     markers: FloatArray, labels: tuple[str, ...], generator: np.random.Generator
 ) -> list[tuple[int, str, str]]:
-    """Two markers change names for a fifth of a second, again and again; changes ``markers``."""
+    """Exchange two markers' names for a fifth of a second, again and again; change ``markers``."""
     pairs = [("LKNE", "LTHI"), ("RWRA", "RWRB"), ("LASI", "RASI"), ("RANK", "RHEE"), ("LFHD", "RFHD")]
     swaps = []
     for begin in range(200, len(markers) - 40, 60):
@@ -286,7 +286,7 @@ def _angle_errors(body: Skeleton, q_wb: FloatArray, truth: FloatArray) -> list[F
 
 
 def _length_spread(fitted: Fit, q_wb: FloatArray) -> float:
-    """mm: of bones put through every frame's orientations."""
+    """Return the largest spread of a bone's length over the orientations of every 20th frame, mm."""
     spreads = []
     for s, offset in enumerate(fitted.skeleton.offsets):
         parent = int(fitted.skeleton.parents[s])

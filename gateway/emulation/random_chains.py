@@ -36,7 +36,7 @@ class RandomChain(NamedTuple):
     switches: Switches
 
     def described(self) -> list[str]:
-        """Cells of a table; see ``HEADS``."""
+        """Return cells of a table; see ``HEADS``."""
         wrong = [
             f"arms {100 * self.switches.lever_arm_m:.0f} cm",
             *([f"device {self._device()}"] if self.held_by == "position device" else []),

@@ -150,7 +150,7 @@ def reference_at(times_s: FloatArray, reference: ReferenceTrack) -> FloatArray:
 
 
 def align(q: FloatArray, q_ref: FloatArray) -> FloatArray:
-    """``q`` (T, 4) after the constant heading and misalignment that bring it closest to ``q_ref``."""
+    """Return ``q`` (T, 4) after the constant heading and misalignment that bring it closest to ``q_ref``."""
     found = align_world(q[:, None], q_ref[:, None])
     return aligned(q[:, None], found)[:, 0]
 
@@ -165,7 +165,7 @@ class Part(NamedTuple):
 
 
 def totals(recording: Recording, frames: list[ImuFrame], part: Part) -> tuple[float, float]:
-    """Degrees, mean of the segments: VQF's and ours. frames: of the whole recording."""
+    """Return the mean error of the segments, °: VQF's and ours; ``frames`` are of the whole recording."""
     begun_s = max(float(track.times[0]) for track in recording.modules)
     taken = _cut(frames, part)
     begins_s = begun_s + (taken[0].time_ns - frames[0].time_ns) * 1e-9

@@ -97,22 +97,21 @@ def move(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
 
 
 def move_about(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
-    """The same for whoever looks on: people walk round in a circle to their left, and so stay near."""
+    """Move as ``move`` does, but people walk in a circle to their left, and so stay near for who looks on."""
     if MOTIONS.get(body_name) is gait_motion:
         return gait_motion(body, seed, gait=CIRCLING)
     return move(body, body_name, seed)
 
 
 def perform(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
-    """The same with more to see: people walk as people do, turn, reach out and squat."""
+    """Move with more to see: people walk, turn, reach out and squat."""
     if MOTIONS.get(body_name) is gait_motion:
         return everyday_motion(body, seed)
     return move(body, body_name, seed)
 
 
 def calibrate(body: EmulatedBody, _body_name: str, seed: int, heading: float = 0.0) -> BodyMotion:
-    """The wearer goes through the steps of ``calibrate body``, over and over; heading in rad from
-    east."""
+    """Return the steps of ``calibrate body``, over and over; ``heading`` in rad from east."""
     return calibration_motion(body, seed, heading)
 
 

@@ -82,7 +82,7 @@ def arm(position: tuple[float, float, float]) -> WornSuit:
 def ideal_frames(
     suit: WornSuit, body: EmulatedBody, motion: BodyMotion, times_ns: IntArray, has_gyroscopes: bool
 ) -> Iterator[ImuFrame]:
-    """Noise-free frames at given times, in sensor axes, in the order of the rig's modules.
+    """Yield noise-free frames at given times, in sensor axes, in the order of the rig's modules.
 
     Computed in extended precision where the machine has it, and rounded once: the sensors' values are
     then exact to the last bit, which the method without gyroscopes can tell.
@@ -164,7 +164,7 @@ def relay_chunks(
 
 
 def errors_deg(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float) -> FloatArray:
-    """RMSE of each segment against the truth, degrees, (n_segments,); frames before ``from_s`` left out."""
+    """Return the RMSE of each segment from ``from_s`` on, °, (n_segments,)."""
     times_s = np.array([frame.time_ns for frame in frames]) * 1e-9
     settled = times_s >= from_s
     q_wb = np.stack([frame.q_wb for frame in frames])[settled]
@@ -172,7 +172,7 @@ def errors_deg(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float) -
 
 
 def measure_walk(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float = WALK_FROM_S) -> WalkResult:
-    """From ``from_s`` on; places are counted from where the body is then."""
+    """Return figures of a walk from ``from_s`` on; places are counted from where the body is then."""
     times = np.array([frame.time_ns for frame in frames]) * 1e-9
     kept = np.flatnonzero(times >= from_s)
     truth = motion.state(times[kept])
@@ -201,7 +201,7 @@ def measure_walk(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float 
 
 
 def _error_steps_deg(q_wb: FloatArray, true_q_wb: FloatArray) -> FloatArray:
-    """(T − 1,) by how much the orientation error of the worst segment changes from frame to frame."""
+    """Return the change of the worst segment's orientation error from frame to frame, °, (T − 1,)."""
     shape = q_wb.shape[:2]
     estimate, truth = (Rotation.from_quat(q.reshape(-1, 4), scalar_first=True) for q in (q_wb, true_q_wb))
     error = (estimate * truth.inv()).as_quat().reshape(*shape, 4)

@@ -115,7 +115,7 @@ def rendered(
     cameras: Sequence[Camera], regions: Sequence[PersonRegion | None], people: FloatArray, frame: int,
     hidden: NDArray[np.bool_] | None = None, off: FloatArray | None = None,
 ) -> HeatMapFrame:  # fmt: skip
-    """Maps of the regions in which every person's keypoints (n_people, n_keypoints, 3) m are blobs.
+    """Return maps in which every person's keypoints (n_people, n_keypoints, 3), m, are blobs.
 
     hidden: (n_cameras, n_keypoints) of all people, not seen by a camera. off: (n_cameras, n_keypoints, 2)
     cells by which the blobs are beside their places.
