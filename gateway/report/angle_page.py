@@ -71,7 +71,7 @@ def _picture(page: AnglePage, kind: str) -> bytes:
 
 
 def _thinned(time_s: FloatArray, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """At most ``_MOST_POINTS`` points, each the largest angle of its stretch: no peak is lost."""
+    """Return at most ``_MOST_POINTS`` points, each the largest angle of its stretch: no peak is lost."""
     stretch = -(-len(angles) // _MOST_POINTS)
     if stretch <= 1:
         return time_s, angles

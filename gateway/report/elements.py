@@ -82,7 +82,7 @@ LINES = ("#1f6fb2", "#e07a1f", "#4f9d4f")
 
 
 def require_matplotlib() -> None:
-    """Raises ``GatewayError`` where the extra is not installed."""
+    """Raise ``GatewayError`` where the extra is not installed."""
     if importlib.util.find_spec("matplotlib") is None:
         raise GatewayError(f"a report needs the extra 'plot': {how_to_add('plot')}")
 
@@ -92,7 +92,7 @@ def small_multiples(
     shown: Sequence[tuple[str, FloatArray, tuple[str, ...]]],
     shaded: Mapping[str, Sequence[tuple[float, float]]] | None = None,
 ) -> bytes:
-    """A panel for each of ``shown`` (title, values (F, n), names of their lines), as PNG.
+    """Return a panel for each of ``shown`` (title, values (F, n), names of their lines), as PNG.
 
     shaded: spans of time set off behind the panel of a title, from when until when, s.
     """
@@ -135,13 +135,14 @@ def panels(count: int, height_in: float, columns: int | None = None) -> tuple[An
 
 
 def colours(count: int) -> list[Any]:
-    """So many colours (RGBA) that are told apart, in the order of the rainbow."""
+    """Return so many distinguishable colours (RGBA), in the order of the rainbow."""
     from matplotlib import colormaps  # noqa: PLC0415 - an extra
 
     return [colormaps["nipy_spectral"](0.05 + 0.87 * i / max(count - 1, 1)) for i in range(count)]
 
 
 def png(figure: Any) -> bytes:
+    """Return a figure as PNG, without metadata that would differ between machines."""
     target = io.BytesIO()
     figure.savefig(target, format="png", dpi=_DPI, metadata={"Software": None})
     return target.getvalue()

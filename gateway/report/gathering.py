@@ -70,8 +70,10 @@ class _Poses:
         self._every = 1
 
     def add(self, frame: SkeletonFrame) -> None:
+        """Count a frame, and keep it if it is due."""
         self.status[np.arange(len(frame.status)), frame.status] += 1
         if self.count % self._every == 0:
+            # When too many are kept, every other one is dropped: memory stays bounded, spacing stays even.
             self.kept.append(frame)
             if len(self.kept) > 2 * _MOST_POSES:
                 self.kept, self._every = self.kept[::2], 2 * self._every
@@ -91,6 +93,7 @@ class _Modules:
         self._before: dict[int, tuple[int, int]] = {}
 
     def take(self, item: Chunk | SentChunk) -> None:
+        """Feed an input to the pipeline, and read the counters at the end of every bin."""
         if self._pipeline is None or not self._pipeline.has_modules(item.link):
             return
         if isinstance(item, SentChunk):

@@ -80,7 +80,7 @@ def orientations(poses: SkeletonArrays) -> bytes:
 
 
 def joints(poses: SkeletonArrays, angles: FloatArray) -> bytes:
-    """Angles of every joint, degrees."""
+    """Return a picture of the angles of every joint, °."""
     rows = [
         (
             joint.name,
