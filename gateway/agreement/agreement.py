@@ -146,7 +146,7 @@ def _figures(
     joint_deg: FloatArray,
     apart_m: FloatArray,
 ) -> SegmentAgreement:
-    """errors_deg: (3, T) total, inclination, heading."""
+    """Return the figures of one segment from errors (3, T): total, inclination, heading, °."""
     known = np.isfinite(errors_deg[0])
     if not known.any():
         return SegmentAgreement(*pair, 0, *(float("nan"),) * 9)

@@ -30,7 +30,7 @@ class PoseWindow:
         self._poses: deque[PoseMessage] = deque()
 
     def add(self, pose: PoseMessage) -> None:
-        """One that is not later than the one before begins the window anew: its gateway was restarted."""
+        """Add a pose; one that is not later than the last begins anew, as its gateway was restarted."""
         if self._poses and pose.t_ns <= self._poses[-1].t_ns:
             self._poses.clear()
         self._poses.append(pose)
@@ -48,7 +48,7 @@ class PoseWindow:
         return self._poses[-1].t_ns if self._poses else 0
 
     def tracks(self, body: BodyMessage, origin_ns: int) -> Tracks:
-        """As arrays, seconds since ``origin_ns``. Raises ``GatewayError`` for fewer than two poses."""
+        """Return arrays, s since ``origin_ns``. Raises ``GatewayError`` for fewer than two poses."""
         poses = list(self._poses)
         if len(poses) < 2:
             raise GatewayError(f"body '{body.name}' has not moved yet: {len(poses)} poses have come")

@@ -152,12 +152,15 @@ def _smoothed(speed: FloatArray) -> FloatArray:
 
 
 def _correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lags (samples; b later) and the normalised correlation over all segments, unknown values left out."""
+    """Return lags (samples; b later) and the normalised correlation over all segments, without unknown
+    values.
+    """
     n_a, n_b = len(a), len(b)
     product, power_a, power_b = (np.zeros(n_a + n_b - 1) for _ in range(3))
     overlap = correlate(np.ones(n_b), np.ones(n_a))
     for one, other in zip(a.T, b.T, strict=True):
         known_a, known_b = np.isfinite(one), np.isfinite(other)
+        # A pair of signals counts at a lag only where both are known: power is summed over the same samples.
         if not (known_a.any() and known_b.any()):
             continue
         x = np.where(known_a, one - one[known_a].mean(), 0.0)
@@ -168,6 +171,7 @@ def _correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     least = min(max(SHORTEST_OVERLAP_S * RATE_HZ, OVERLAP_SHARE * min(n_a, n_b)), n_a, n_b)
     power = np.sqrt(np.maximum(power_a, 0.0) * np.maximum(power_b, 0.0))
     strongest = float(power.max())
+    # Near the ends few samples overlap, and any two short pieces correlate well by chance.
     usable = (overlap >= least - 0.5) & (power > 1e-3 * strongest) & (strongest > 0.0)
     score = np.full(len(product), np.nan)
     score[usable] = product[usable] / power[usable]

@@ -100,7 +100,7 @@ def pairs_of(first: Tracks, second: Tracks, renamed: Mapping[str, str]) -> list[
 
 
 def resampled(tracks: Tracks, time_s: FloatArray) -> Tracks:
-    """At other instants: orientations by the shortest rotation, positions by straight lines."""
+    """Return tracks at other instants: shortest rotations between orientations, lines between positions."""
     q = np.stack([_q_at(tracks.time_s, tracks.q_wb[:, s], time_s) for s in range(len(tracks.names))], axis=1)
     p = np.stack([_p_at(tracks.time_s, tracks.p_w[:, s], time_s) for s in range(len(tracks.names))], axis=1)
     return Tracks(tracks.names, tracks.parents, time_s, q, p)

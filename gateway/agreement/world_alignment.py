@@ -78,7 +78,7 @@ def align_segments(q: FloatArray, q_reference: FloatArray, with_mounting: bool =
 
 
 def aligned(q: FloatArray, alignment: WorldAlignment) -> FloatArray:
-    """``q`` (T, S, 4) in the other's world and axes; NaN stays."""
+    """Return ``q`` (T, S, 4) in the other's world and axes; NaN stays."""
     result = np.full_like(q, np.nan)
     for s in range(q.shape[1]):
         heading = Rotation.from_rotvec([0.0, 0.0, alignment.heading_rad + alignment.own_heading[s]])
@@ -99,8 +99,10 @@ def _scatter(q: FloatArray, q_reference: FloatArray) -> FloatArray:
 
 
 def _best_heading(scatters: list[FloatArray]) -> float:
-    """rad: the rotation about the vertical nearest to all of ``reference ⊗ estimate*``, by the largest
-    eigenvector of the w–z scatter."""
+    """Return the rotation about the vertical nearest to all of ``reference ⊗ estimate*``, rad.
+
+    It is the largest eigenvector of the w–z scatter.
+    """
     turn = np.einsum("cwe->cew", _PRODUCT * _CONJUGATE).reshape(4, 16)[[0, 3]]
     total = sum((turn @ scatter @ turn.T for scatter in scatters), np.zeros((2, 2)))
     w, z = np.linalg.eigh(total)[1][:, -1]
