@@ -70,9 +70,12 @@ class Pipeline:
         delay_s: float = 0.0,
         links: Mapping[str, LinkSettings] | None = None,
     ) -> None:
-        """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken.
-        delay_s: by which the method's frames come later and better; for those that can. links: what the
-        configuration says of them, by name."""
+        """Build the sources and stages of a suit.
+
+        trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken.
+        delay_s: by how much the method's frames may come later to be more accurate; for methods that can.
+        links: settings of the links by name.
+        """
         self.modules = ModuleTable(clock_mode, clock_table)
         """Of all sources."""
         triggers = None
@@ -163,13 +166,15 @@ class Pipeline:
         return self._routes[chunk.link][0].receive(chunk)
 
     def sent(self, chunk: SentChunk) -> None:
-        """The gateway put this on a link: time requests and sampling triggers, whose answers need it."""
+        """Note what the gateway put on a link: time requests and triggers, whose answers need it."""
         if chunk.link in self._routes:
             self._routes[chunk.link][0].sent(chunk)
 
     def take(self, item: LinkItem) -> list[SkeletonFrame]:
-        """Any input: the skeleton frames that it completes. An event that is not possible with this suit or
-        method is passed over."""
+        """Take any input; return the skeleton frames that it completes.
+
+        An event that is not possible with this suit or method is ignored.
+        """
         if isinstance(item, Chunk):
             return self.feed(item)
         if isinstance(item, SentChunk):
@@ -214,7 +219,7 @@ class Pipeline:
         return [self.resets.apply(pose) for pose in poses]
 
     def event(self, name: str, data: Mapping[str, Any], worn: Worn | None = None) -> dict[str, object]:
-        """Something asked of the gateway that changes what follows; other events pass without effect.
+        """Apply something asked of the gateway that changes what follows; other events pass without effect.
 
         ``reset`` (kind, facing), ``calibrated`` (see ``mounting_event``) and ``load`` (solve_every: of the
         frames, how many are reconstructed). worn: what ``prepare`` made of a calibration; None: it is made

@@ -162,7 +162,7 @@ class AssemblySettings(_Strict):
     )
 
     def params(self) -> AssemblyParams:
-        """In the units of the assembler."""
+        """Return the settings in the units of the assembler, ns."""
         from gateway.stages.frame_assembler import AssemblyParams  # noqa: PLC0415 - needs kernels
 
         return AssemblyParams(
@@ -190,7 +190,7 @@ class RootMotionSettings(_Strict):
     floor_height_m: Finite = Field(default=0, description="height of a level floor")
 
     def root(self) -> RootSettings:
-        """As the reconstructors take it."""
+        """Return the settings as the reconstructors take them."""
         return RootSettings(self.mode, self.floor == "level", self.floor_height_m)
 
 
