@@ -29,7 +29,7 @@ class Arrivals:
     """
 
     def __init__(self, link: str, limit_bytes: int = LIMIT_BYTES, counts: LinkCounts | None = None) -> None:
-        """counts: of the link, which go on from one connection to the next."""
+        """Begin empty; ``counts`` are the link's, which go on from one connection to the next."""
         self.dropped_chunks = 0
         self.dropped_bytes = 0
         self._counts = counts or LinkCounts()
@@ -45,7 +45,7 @@ class Arrivals:
 
     @classmethod
     def never_opened(cls, link: str) -> Self:
-        """What iterating a link that was never opened gives: ``LinkError``."""
+        """Return arrivals that raise ``LinkError`` when iterated, for a link that was never opened."""
         arrivals = cls(link)
         arrivals.end(LinkError(f"{link} is not open: call open() before reading"))
         return arrivals

@@ -12,7 +12,7 @@ class BackOff:
         self._next = first
 
     def next_delay(self) -> float:
-        """How long to wait before the next attempt, s; twice as long at every call, up to the longest."""
+        """Return how long to wait before the next attempt, s; it doubles at every call, up to the longest."""
         delay = self._next
         self._next = min(2 * delay, self.longest)
         return delay

@@ -60,7 +60,7 @@ class SensorCalibration:
         return (np.asarray(reading) - self.magnetometer_bias) @ self.magnetometer_matrix.T
 
     def after(self, first: SensorCalibration) -> SensorCalibration:
-        """One correction that does ``first``, then this one.
+        """Return one correction that does ``first``, then this one.
 
         For a module that corrects on board already, and was measured so.
         """
@@ -76,7 +76,7 @@ class SensorCalibration:
         )
 
     def to_setting(self) -> tuple[float, ...]:
-        """The 30 numbers of the setting ``calibration``."""
+        """Return the 30 numbers of the setting ``calibration``."""
         numbers = np.concatenate(
             [
                 self.accelerometer_matrix.ravel(),
@@ -91,7 +91,7 @@ class SensorCalibration:
 
     @classmethod
     def from_setting(cls, numbers: Sequence[float]) -> SensorCalibration:
-        """From the 30 numbers of the setting. Raises ``ValueError`` for any other list."""
+        """Make a calibration of the 30 numbers of the setting. Raises ``ValueError`` for any other list."""
         c = np.asarray(numbers, dtype=np.float64)
         if c.shape != (NUMBERS,) or not np.isfinite(c).all():
             raise ValueError(f"a calibration is {NUMBERS} finite numbers, not {len(numbers)}")

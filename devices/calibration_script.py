@@ -32,6 +32,6 @@ def timetable() -> dict[str, tuple[float, float]]:
 
 
 def begin_of_script(not_before_ns: int) -> int:
-    """The next gateway time at which an emulated wearer begins: all on one machine agree about it."""
+    """Return the next gateway time, ns, at which an emulated wearer begins; it is the same on one machine."""
     period_ns = round(PERIOD_S * 1e9)
     return -(-not_before_ns // period_ns) * period_ns

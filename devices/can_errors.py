@@ -34,7 +34,7 @@ _BY_STATE = {0x03: BusError.OVERFLOW, 0x0C: BusError.WARNING, 0x30: BusError.PAS
 
 
 def errors_of(frame: CanFrame) -> list[BusError]:
-    """What an error frame tells; nothing for any other frame."""
+    """Return what an error frame reports; empty for any other frame."""
     if not frame.is_error:
         return []
     errors = [error for mask, error in _BY_CLASS.items() if frame.identifier & mask]

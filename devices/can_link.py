@@ -40,7 +40,7 @@ class CanLink:
         data_bitrate: int | None = None,
         name: str | None = None,
     ) -> None:
-        """``bitrate`` and ``data_bitrate`` in bit/s; None leaves the interface's own setting.
+        """Prepare a link, not yet open; rates in bit/s, None leaves the interface's own.
 
         Raises ValueError for an interface that python-can does not know.
         """
@@ -111,11 +111,12 @@ class CanLink:
 
 
 def _waiting_records(bus: can.BusABC) -> bytes:
-    """What has arrived, at most ``_BATCH`` messages, as records; waits a little for the first."""
+    """Return what has arrived, at most ``_BATCH`` messages, as records; wait a little for the first."""
     messages = []
     message = bus.recv(_RECEIVE_TIMEOUT_S)
     while message is not None:
         messages.append(message)
+        # A bus that is never idle must not keep the batch from being handed over.
         if len(messages) == _BATCH:
             break
         message = bus.recv(0)
@@ -132,7 +133,7 @@ def _send_all(bus: can.BusABC, messages: list[can.Message]) -> None:
 
 
 def frame_of(message: can.Message) -> CanFrame:
-    """A frame as python-can gives it, as ours."""
+    """Return a frame of python-can as ours."""
     return CanFrame(
         identifier=message.arbitration_id,
         data=bytes(message.data),
@@ -145,7 +146,7 @@ def frame_of(message: can.Message) -> CanFrame:
 
 
 def message_of(frame: CanFrame) -> can.Message:
-    """A frame of ours as python-can takes it."""
+    """Return a frame of ours as python-can takes it."""
     return can.Message(
         arbitration_id=frame.identifier,
         data=frame.data,

@@ -42,7 +42,7 @@ class Card:
         self._unique_id = unique_id
 
     async def files(self) -> list[CardFile]:
-        """All files, in the order in which the card lists them."""
+        """Return all files, in the order in which the card lists them."""
         files: list[CardFile] = []
         while True:
             total, entries = await self._client.ask(self._unique_id, Verb.CARD_LIST, len(files))
@@ -52,7 +52,12 @@ class Card:
                 return files
 
     async def read(self, file: int, offset: int, length: int) -> bytes:
-        """Any number of bytes, fewer where the file ends. ``CardError`` for an answer to something else."""
+        """Read any number of bytes, fewer at the file's end.
+
+        Raises ``CardError`` for an answer to something else.
+        """
+        # Several requests are on their way at a time, or else each would wait for the answer to the one
+        # before.
         starts = range(offset, offset + length, MAX_CARD_READ)
         pieces = []
         for first in range(0, len(starts), _AT_ONCE):

@@ -37,12 +37,13 @@ class _Elapsed:
     """32-bit stamps of one sender to µs since the file was begun."""
 
     def __init__(self, stamp_us: int, elapsed_us: int) -> None:
-        """``elapsed_us``: when the stamp came."""
+        """Begin with a stamp that came ``elapsed_us`` after the file was begun."""
         self._last_us = stamp_us
         self._elapsed_us = elapsed_us
 
     def at(self, stamp_us: int, latest_us: int) -> int:
-        """When a further stamp came; a clock that has jumped is taken to have begun anew just now."""
+        """Return when a further stamp came, µs; a clock that has jumped is taken to have begun anew."""
+        # Stamps wrap, and may come a little out of order: the step is the one nearest to zero.
         step_us = (stamp_us - self._last_us + _COUNTER // 2) % _COUNTER - _COUNTER // 2
         self._last_us = stamp_us
         expected_us = self._elapsed_us + step_us
@@ -73,7 +74,7 @@ def convert_card_file(
 
 
 def _arrivals(source: Path, decoder: FrameDecoder) -> Iterator[tuple[int, WireFrame]]:
-    """Each wire frame with the time since the file was begun, µs: never before that of the one before."""
+    """Yield wire frames with the time since the file was begun, µs; times never decrease."""
     clocks: dict[int, _Elapsed] = {}
     latest_us = 0
     for frame in _frames(source, decoder):

@@ -57,7 +57,9 @@ class CommandClient:
         first_transaction: int | None = None,
         clock_ns: Callable[[], int] = gateway_time_ns,
     ) -> None:
-        """``first_transaction``: None begins anywhere, so that no device takes it for an old one."""
+        """Prepare to ask; ``first_transaction`` None begins at random, so that no device takes it for an old
+        one.
+        """
         self.links = {link.name: link for link in links}
         self.allow_writes = allow_writes
         first = secrets.randbelow(2**16) if first_transaction is None else first_transaction
@@ -93,7 +95,9 @@ class CommandClient:
             self.healths[received.module] = packet
 
     def _heard(self, unique_id: bytes, chunk: Chunk) -> None:
-        """Where a device is. Whoever makes up ever new unique ids pushes out the oldest, not our memory."""
+        """Note where a device was heard; beyond ``MOST_DEVICES`` the oldest is forgotten, as ids may be made
+        up.
+        """
         self.link_of[unique_id], self.sender_of[unique_id] = chunk.link, chunk.sender
         if len(self.link_of) > MOST_DEVICES:
             oldest = next(iter(self.link_of))
@@ -102,7 +106,7 @@ class CommandClient:
             self.infos.pop(oldest, None)
 
     async def ask(self, unique_id: bytes, verb: Verb, *values: Any) -> tuple[Any, ...]:
-        """What the device with this unique id answers: the payload's values.
+        """Return what the device with this unique id answers: the payload's values.
 
         Raises ``WritesLockedError``, ``NoAnswerError``, ``CommandRefusedError``, ``LinkError`` when no link
         is up, and ``ValueError`` for values that do not fit the verb.
@@ -124,7 +128,7 @@ class CommandClient:
         return payload
 
     async def ask_all(self, verb: Verb, *values: Any, known: Collection[bytes] = ()) -> dict[bytes, Answer]:
-        """The answers of all devices that can be heard, by unique id; nobody answering is not an error.
+        """Return the answers of all devices that can be heard, by unique id; no answer at all is no error.
 
         known: unique ids of the devices that were there a moment ago. Once they have answered nobody is asked
         again: that takes a quarter of a second, where it takes more than a second to find out who is there.
@@ -208,9 +212,9 @@ class CommandClient:
         return None if has_been_sent else unsent
 
     async def _send(self, exchange: Exchange, device: bytes | None) -> LinkError | None:
-        """To where the device was heard; to everybody on all links when that is not known or did not help.
+        """Send to where the device was heard; to all links where that is unknown or did not help.
 
-        Why it went out on none of them, or None.
+        Returns why it went out on none of them, or None.
         """
         target = exchange.target
         sequence = self._sequences[target]
@@ -241,6 +245,6 @@ class CommandClient:
 
 
 def host_bytes(frame: WireFrame, framing: Framing) -> bytes:
-    """What to write to a link of that framing to send a wire frame from the host."""
+    """Return what to write to a link of that framing to send a wire frame from the host."""
     # Classic CAN frames: every CAN device takes them, FD or not.
     return encode_frame(frame) if framing is Framing.BYTE_STREAM else pack_can_records(fragment(frame))

@@ -96,7 +96,10 @@ class Configurator:
         await self.client.ask(unique_id, Verb.IDENTIFY, seconds)
 
     async def read(self, unique_id: bytes, names: Iterable[str]) -> dict[str, Value]:
-        """Settings of a device by name. Raises as ``CommandClient.ask``, ``ValueError`` for no such name."""
+        """Return settings of a device by name.
+
+        Raises as ``CommandClient.ask``, ``ValueError`` for no such name.
+        """
         return {name: await self._read_one(unique_id, name) for name in names}
 
     async def read_committed(self, unique_id: bytes, names: Iterable[str]) -> dict[str, Value]:
@@ -105,7 +108,7 @@ class Configurator:
         return await self.read(unique_id, names)
 
     async def read_all(self, unique_id: bytes) -> dict[str, Value]:
-        """All settings that the device has; those that its firmware does not know are left out."""
+        """Return all settings that the device has; those that its firmware does not know are left out."""
         values = {}
         for name in SETTING_KEYS:
             try:
@@ -251,11 +254,15 @@ class Configurator:
         return UnfinishedError("; ".join(said) + "; ask for the same again, or undo", present, reason)
 
     async def _stage_and_commit(self, unique_id: bytes, encoded: Mapping[str, bytes]) -> Exception | None:
-        """What went wrong in a way that reading back will settle, or None. Raises where it refuses."""
+        """Write and commit; return an error that reading back will settle, or None.
+
+        Raises if the device refuses.
+        """
         ask = self.client.ask
         try:
             for name, raw in encoded.items():
                 await ask(unique_id, Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
+            # Until here nothing has changed: the device replaces all settings at once, or none.
             await ask(unique_id, Verb.COMMIT)
         except (NoAnswerError, LinkError) as error:
             return error
@@ -299,7 +306,9 @@ class Configurator:
                     raise
 
     async def _ask_again_for_infos(self, answers: Mapping[bytes, Answer]) -> None:
-        """A description follows the answer in a packet of its own, and may have been lost."""
+        """Ask for descriptions that are missing: each follows the answer in a packet of its own, and may be
+        lost.
+        """
         for unique_id, _ in itertools.product(answers, range(_INFO_ATTEMPTS)):
             if unique_id not in self.client.infos:
                 try:

@@ -14,7 +14,7 @@ class Deferred:
     """Stands for a function or class, whose calls and attributes it passes on."""
 
     def __init__(self, module: str, name: str) -> None:
-        """module: imported at the first call. name: what it stands for there, ``Class.method`` too."""
+        """Stand for ``name`` (also ``Class.method``) of ``module``, which is imported at the first call."""
         self._module, self._name = module, name
 
     def _found(self) -> Any:

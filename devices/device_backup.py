@@ -27,7 +27,7 @@ class Restored:
 
 
 async def read_backup(configurator: Configurator, roster: Roster) -> dict[str, dict[str, Value]]:
-    """Settings by name, by unique id (hexadecimal), of all modules heard. Raises as reading does."""
+    """Return settings by name, by unique id (hexadecimal), of all modules heard. Raises as reading does."""
     return {
         unique_id.hex(): await configurator.read_all(unique_id)
         for unique_id in sorted(roster.ids, key=lambda uid: (roster.ids[uid], uid))
@@ -110,7 +110,7 @@ def _note(restored: Restored, change: Change) -> None:
 
 
 def parse_unique_id(text: str) -> bytes:
-    """12 bytes from hexadecimal. Raises ``ValueError``."""
+    """Return 12 bytes from hexadecimal. Raises ``ValueError``."""
     try:
         unique_id = bytes.fromhex(text)
     except ValueError:

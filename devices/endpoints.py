@@ -50,7 +50,7 @@ class EndpointError(LinkError, ValueError):
 
 
 def link_from_url(url: str, *, name: str | None = None) -> Link:
-    """The link, not yet open, that ``url`` describes; ``name`` is what its chunks are to be called.
+    """Return the link, not yet open, that ``url`` describes; ``name`` is what its chunks are to be called.
 
     Raises ``EndpointError`` for an unknown scheme or parameter, a missing part or a bad value.
     """
@@ -68,7 +68,7 @@ def link_from_url(url: str, *, name: str | None = None) -> Link:
 
 
 def _as_url(text: str) -> str:
-    """Paths are URLs too: of a recording, by the ending of its name, or else of a serial port."""
+    """Return a URL for a path: of a recording by the ending of its name, else of a serial port."""
     path = text.partition("?")[0]
     if "://" not in path and path.endswith(SUFFIX):
         return f"recording:{text.removeprefix('recording:')}"

@@ -10,7 +10,7 @@ _TREE = Path(__file__).resolve().parents[1]
 
 
 def how_to_add(extra: str, tree: Path = _TREE) -> str:
-    """The command to type: for a working tree its own folder, else the package by its name.
+    """Return the command to type: for a working tree its own folder, else the package by its name.
 
     tree: the folder that the packages are in.
     """

@@ -20,7 +20,7 @@ _ROUNDS = 6  # of the way back; each gains three digits near the ground
 
 
 def earth_centred(latitude_deg: float, longitude_deg: float, height_m: float) -> FloatArray:
-    """(3,) m, of a point at a height above the ellipsoid."""
+    """Return the earth-centred place (3,), m, of a point at a height above the ellipsoid."""
     latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
     across = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY_2 * math.sin(latitude) ** 2)
     ring = (across + height_m) * math.cos(latitude)
@@ -47,7 +47,7 @@ class LocalPlane:
         object.__setattr__(self, "_axes", axes)
 
     def enu(self, latitude_deg: float, longitude_deg: float, height_m: float) -> FloatArray:
-        """(3,) m east, north and up of the origin."""
+        """Return the place (3,), m, east, north and up of the origin."""
         place: FloatArray = self._axes @ (earth_centred(latitude_deg, longitude_deg, height_m) - self._origin)
         return place
 

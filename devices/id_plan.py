@@ -24,7 +24,7 @@ def plan_moves(
     *,
     may_share: bool = False,
 ) -> list[Move]:
-    """The changes that lead from the present ids to the wanted ones, in a safe order.
+    """Return the changes that lead from the present ids to the wanted ones, in a safe order.
 
     present: id of every device that can be heard; wanted: id of those that are to have a certain one.
     A device takes an id only when nobody has it. Where ids go round in a circle one device waits on a
@@ -50,7 +50,7 @@ def plan_moves(
 
 
 def spare_id(taken: Collection[int]) -> int | None:
-    """The highest id that is not taken: the rigs people write count from below."""
+    """Return the highest id that is not taken: the rigs people write count from below."""
     return next((spare for spare in range(MAX_MODULE, -1, -1) if spare not in taken), None)
 
 

@@ -30,7 +30,7 @@ class CanRate:
 
 
 def line_rate(url: str) -> UartRate | CanRate | None:
-    """The rate of a valid endpoint's line; None where there is none to speak of (network, pty, recording).
+    """Return the rate of a valid endpoint's line; None where there is none (network, pty, recording).
 
     What the endpoint leaves open is taken as 1 Mbaud, 1 Mbit/s and 2 Mbit/s in the data phase of CAN FD.
     """

@@ -105,13 +105,16 @@ class Link(Protocol):
     name: str
     framing: Framing
 
-    async def open(self) -> None: ...
+    async def open(self) -> None:
+        """Open the link. Raises ``LinkError`` that says what was found, and the remedy."""
 
     def __aiter__(self) -> AsyncIterator[LinkItem]: ...
 
-    async def write(self, data: bytes, to: Sequence[str] = ()) -> None: ...
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
+        """Write bytes; ``to`` names the ends on a link with several. Raises ``LinkError``."""
 
-    async def close(self) -> None: ...
+    async def close(self) -> None:
+        """Close the link; iterating it ends."""
 
 
 class LiveLink(Link, Protocol):

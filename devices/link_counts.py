@@ -71,7 +71,7 @@ class LinkCounts:
         return self.behind + self.before.total()
 
     def summary(self) -> dict[str, int]:
-        """For the health message."""
+        """Return the counts by name, for the health message."""
         before = {place.name.lower(): count for place, count in self.before.items()}
         refused = {"refused": self.refused} if self.refused else {}
         unverified = {defect.name.lower(): count for defect, count in self.unverified.items()}
@@ -88,11 +88,11 @@ class SystemCount:
         self._seen = 0
 
     def begin_at(self, value: int) -> None:
-        """The count of a new connection."""
+        """Begin to count a new connection's losses at ``value``."""
         self._seen = value
 
     def now(self, value: int) -> None:
-        """The count has reached ``value``, modulo 2^32."""
+        """Add what the system has lost since the last call; ``value`` counts modulo 2^32."""
         self._counts.before[self._place] += (value - self._seen) % _COUNT_MODULUS
         self._seen = value
 
@@ -139,7 +139,7 @@ def ask_for_drops(bound: socket.socket) -> None:
 
 
 def reported_drops(ancillary: list[tuple[int, int, bytes]] | Any) -> int | None:
-    """The count that came with something received; None when none did."""
+    """Return the count that came with something received; None when none did."""
     for _, kind, content in ancillary:
         if kind == _SO_RXQ_OVFL:
             return int.from_bytes(content, sys.byteorder)

@@ -43,7 +43,7 @@ class Decoder(Protocol[_Packets_co]):
         ...
 
     def feed(self, chunk: bytes) -> _Packets_co:
-        """The packets that a chunk completes, in order."""
+        """Return the packets that a chunk completes, in order."""
         ...
 
 
@@ -64,7 +64,7 @@ class SenderDecoders(Generic[Packets]):
     """Takes the chunks of one link apart. ``feed`` never raises; what is dropped is counted."""
 
     def __init__(self, make: Callable[[], Decoder[Packets]]) -> None:
-        """make: makes the decoder of a sender."""
+        """Begin without senders; ``make`` returns the decoder of a new one."""
         self.accepted = 0
         """Packets handed out."""
         self.strange_chunks = 0
@@ -79,7 +79,7 @@ class SenderDecoders(Generic[Packets]):
         self._now_ns = 0
 
     def feed(self, chunk: Chunk) -> Packets:
-        """The packets that a chunk completes, in order."""
+        """Return the packets that a chunk completes, in order."""
         self._now_ns = chunk.arrived_ns
         sender = self._by_sender.pop(chunk.sender, None) or _Sender(self._make())
         self._by_sender[chunk.sender] = sender
@@ -122,7 +122,7 @@ class SenderDecoders(Generic[Packets]):
         return tuple(reversed(names[-_MOST_NAMED:]))
 
     def statistics(self) -> dict[str, object]:
-        """For the health message; nothing where chunks name no sender."""
+        """Return who sends, for the health message; empty where chunks name no sender."""
         if not any(self._by_sender):
             return {}
         return {
@@ -132,11 +132,12 @@ class SenderDecoders(Generic[Packets]):
         }
 
     def _forget_one(self, newest: str) -> None:
-        """A stranger if there is another one than the newest, or whoever was heard least recently."""
+        """Forget a stranger other than the newest; without one, whoever was heard least recently."""
         strangers = (
             name for name, sender in self._by_sender.items() if sender.valid_ns is None and name != newest
         )
         forgotten = self._by_sender.pop(next(strangers, next(iter(self._by_sender))))
+        # Its counts stay in the sum: what was dropped must stay accounted for.
         self._dropped_before.update(forgotten.decoder.dropped)
 
 
@@ -148,5 +149,5 @@ class LinkDecoder(SenderDecoders[list[ReceivedPacket]]):
 
 
 def packet_decoder(framing: Framing) -> PacketDecoder:
-    """A decoder of one stream of bytes, or of CAN records."""
+    """Return a decoder of one stream of bytes, or of CAN records."""
     return PacketDecoder(FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder())

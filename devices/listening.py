@@ -26,13 +26,13 @@ class Peers:
     def __init__(
         self, link: str, networks: Collection[Network], counts: LinkCounts, log: logging.Logger, what: str
     ) -> None:
-        """networks: empty: anybody may. what: of the others is dropped, for the log."""
+        """Admit addresses of ``networks``, or any if empty; ``what`` becomes of others, for the log."""
         self.networks = tuple(networks)
         self._link, self._counts, self._log, self._what = link, counts, log, what
         self._refused_hosts: set[str] = set()
 
     def admits(self, host: str) -> bool:
-        """Whether an address may send; one that may not is counted."""
+        """Return whether an address may send; count one that may not."""
         if not self.networks or _is_in(host, self.networks):
             return True
         self._counts.refused += 1
@@ -59,7 +59,7 @@ def listen_error(kind: str, link: str, host: str, port: int, error: OSError) -> 
 
 @functools.lru_cache(maxsize=512)
 def name_of(sender: Address) -> str:
-    """``HOST:PORT``, that of IPv6 in brackets and with its scope, if it has one."""
+    """Return ``HOST:PORT``; IPv6 in brackets and with its scope, if it has one."""
     host, port, *rest = sender
     if not rest:
         return f"{host}:{port}"

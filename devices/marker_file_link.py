@@ -15,7 +15,7 @@ from devices.vendor_formats.sheets import FormatError
 
 
 def trial_chunks(trial: MarkerTrial, begun_ns: int, link: str) -> Iterator[Chunk]:
-    """The messages that an optical system would have sent, each at its instant."""
+    """Yield the messages that an optical system would have sent, each at its instant."""
     named = [i for i, label in enumerate(trial.labels) if label and not label.startswith("*")]
     labels = [trial.labels[i] for i in named]
     nameless = trial.unlabelled()
@@ -39,8 +39,11 @@ class MarkerFileLink:
         labels: Sequence[str] = (),
         person: str | None = None,
     ) -> None:
-        """labels: as markers are to be called that the file spells otherwise; person: whose they are, where
-        it holds several people's."""
+        """Prepare to play a file.
+
+        labels: names that markers are to have where the file spells them otherwise.
+        person: whose markers, where the file holds several people's.
+        """
         self.path = Path(path)
         self.name = name or self.path.stem
         self.position = 0
@@ -56,6 +59,7 @@ class MarkerFileLink:
         self._closing = asyncio.Event()
 
     async def open(self) -> None:
+        """Read the whole file. Raises ``LinkError``."""
         try:
             self._trial = spelt(read_markers(self.path), self._labels, person=self._person)
         except FormatError as error:
@@ -86,7 +90,8 @@ class MarkerFileLink:
                     await self._closing.wait()
 
     async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
-        """Nothing: a file takes no commands."""
+        """Do nothing: a file takes no commands."""
 
     async def close(self) -> None:
+        """Stop playing."""
         self._closing.set()

@@ -54,7 +54,7 @@ def encode_markers(
     time_s: float | None = None,
     up: str | None = None,
 ) -> bytes:
-    """A message with its newline, every number in its shortest exact form; NaN positions are left out.
+    """Return a message with its newline, every number in its shortest exact form; NaN positions are left out.
 
     time_ns: of the gateway's clock; None: ``time_s`` of the sender's, if any. Positions in m.
     """
@@ -88,7 +88,7 @@ class MarkerReceiver:
         self._clock = SenderClock()
 
     def receive(self, chunk: Chunk) -> list[MarkerMessage]:
-        """The messages that a chunk completes, in time order."""
+        """Return the messages that a chunk completes, in order of time."""
         *lines, self._rest = (self._rest + chunk.data).split(b"\n")
         if chunk.data == self._rest and _is_whole(self._rest):  # a datagram without newline
             lines, self._rest = [*lines, self._rest], b""
@@ -181,7 +181,7 @@ class SenderClock:
 
 
 def _is_whole(text: bytes) -> bool:
-    """Whether a message ends here: a piece of a stream may end with a brace too."""
+    """Return whether a message ends here: a piece of a stream may end with a brace too."""
     if not text.rstrip().endswith(b"}"):
         return False
     try:
@@ -192,7 +192,7 @@ def _is_whole(text: bytes) -> bool:
 
 
 def _place(value: object, factor: float) -> tuple[float, float, float] | None:
-    """Three numbers in m; None for anything else."""
+    """Return three numbers in m; None for anything else."""
     if not isinstance(value, list) or len(value) != 3:
         return None
     numbers = [

@@ -89,9 +89,10 @@ class QtmLink:
         await self._answered(client, streaming, f"{place} refuses to stream", _WHAT_WOULD_DO)
 
     async def _answered(self, client: _Client, asking: Any, refused: str, would_do: str) -> bytes:
-        """What QTM says to something asked. Raises ``LinkError``."""
+        """Return QTM's answer. Raises ``LinkError``."""
         assert self._connection is not None  # open sees to it
         answering = asyncio.ensure_future(asking)
+        # The vendor's client waits for ever when QTM closes the connection in the middle of an answer.
         hung_up = asyncio.ensure_future(self._connection.gone.wait())
         try:
             await asyncio.wait({answering, hung_up}, timeout=ANSWER_TIMEOUT_S, return_when="FIRST_COMPLETED")
@@ -109,7 +110,7 @@ class QtmLink:
         )
 
     def _take(self, packet: DataPacket, marking: Marking) -> None:
-        """One frame, in the receive callback; what it was that cannot be read is told by ``_Checked``."""
+        """Take one frame in the receive callback; ``_Checked`` reports what cannot be read."""
         sequence = self._numbers.next(packet.framenumber)
         self._arrivals.put(message_of(packet, sequence, marking), gateway_time_ns())
 
@@ -117,7 +118,7 @@ class QtmLink:
         return self._arrivals
 
     async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
-        """Nothing: QTM takes no commands of modules."""
+        """Do nothing: QTM takes no commands of modules."""
 
     async def close(self) -> None:
         """Hang up; iterating ends."""
@@ -135,7 +136,7 @@ class _Client(NamedTuple):
 
 
 def _client() -> _Client:
-    """The vendor's client. Raises ``LinkError`` without the extra."""
+    """Return the vendor's client. Raises ``LinkError`` without the extra."""
     try:
         from qtm_rt import protocol, qrt  # noqa: PLC0415 - an extra
     except ImportError:
@@ -148,7 +149,7 @@ _BEGINNINGS = frozenset({"EventConnected", "EventRTfromFileStarted"})
 
 
 def _restarted(arrivals: Arrivals, event: Enum) -> None:
-    """QTM tells what happens to it."""
+    """End the link when QTM begins another measurement, whose markers may have other names."""
     if event.name in _BEGINNINGS:
         arrivals.end(LinkError("QTM has begun another measurement: its names are asked for again"))
 
@@ -165,9 +166,12 @@ class _Numbers:
         self._sequence = -1
 
     def next(self, number: int) -> int:
-        """Of the frame with QTM's number, one more than the last one's where none was left out."""
+        """Return the sequence number of QTM's frame ``number``: one more than the last unless frames are
+        missing.
+        """
         step = 1 if self._last is None else number - self._last
         self._last = number
+        # QTM begins to count anew, or the same frame again: that is no loss.
         if not 0 < step < _LARGEST_GAP:
             step = 1
         self._counts.before[LostBefore.NOT_SENT] += step - 1
@@ -191,12 +195,14 @@ class _Checked(asyncio.Protocol):
         """Set once there is no connection any more."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin the vendor's protocol on a new connection."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         keep_alive(transport.get_extra_info("socket"))
         self._client.connection_made(transport)
 
     def data_received(self, data: bytes) -> None:
+        """Hand whole packets to the vendor's client; end the link at what cannot be read."""
         try:
             packets, self._rest = packets_of(self._rest + data)
             for packet in packets:
@@ -205,11 +211,13 @@ class _Checked(asyncio.Protocol):
             self._end(LinkError(f"{self._place} sent what cannot be read: {error}; {_IS_IT_THE_PORT}"))
 
     def connection_lost(self, error: Exception | None) -> None:
+        """End the link, and wake whoever waits for an answer."""
         self._client.connection_lost(error)
         self._end(LinkError(f"{self._place} has hung up" + (f": {error}" if error else "")))
         self.gone.set()
 
     async def close(self) -> None:
+        """End the connection, and wait until it is gone."""
         self._end(None)
         await self.gone.wait()
 

@@ -32,9 +32,11 @@ class DataPacket(Protocol):
     timestamp: int
     framenumber: int
 
-    def get_3d_markers(self) -> tuple[Any, list[tuple[float, float, float]]] | None: ...
+    def get_3d_markers(self) -> tuple[Any, list[tuple[float, float, float]]] | None:
+        """Return the named markers' places, mm, in the order of the parameters; None: the packet has none."""
 
-    def get_3d_markers_no_label(self) -> tuple[Any, list[tuple[float, float, float, int]]] | None: ...
+    def get_3d_markers_no_label(self) -> tuple[Any, list[tuple[float, float, float, int]]] | None:
+        """Return the other markers' places, mm, each with its id; None: the packet has none."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Marking:
 
 
 def marking_of(xml: bytes) -> Marking:
-    """The labels out of QTM's 3D parameters. Raises ``QtmPacketError`` where there are none."""
+    """Return the labels in QTM's 3D parameters. Raises ``QtmPacketError`` where there are none."""
     try:
         found = fromstring(xml)
     except (ParseError, DefusedXmlException, ValueError) as error:
@@ -62,7 +64,7 @@ def marking_of(xml: bytes) -> Marking:
 
 
 def packets_of(received: bytes) -> tuple[list[bytes], bytes]:
-    """The whole packets, and what is left. Raises ``QtmPacketError`` for a size that no packet has."""
+    """Return whole packets, and the rest. Raises ``QtmPacketError`` for a size that no packet has."""
     packets, at = [], 0
     while len(received) - at >= HEADER.size:
         size, _ = HEADER.unpack_from(received, at)
@@ -76,8 +78,10 @@ def packets_of(received: bytes) -> tuple[list[bytes], bytes]:
 
 
 def message_of(packet: DataPacket, sequence: int, marking: Marking) -> bytes:
-    """A data packet as a marker message. Raises ``QtmPacketError`` where its markers are not those that have
-    names."""
+    """Return a data packet as a marker message.
+
+    Raises ``QtmPacketError`` where the number of its markers is not that of the names.
+    """
     named, nameless = packet.get_3d_markers(), packet.get_3d_markers_no_label()
     places = [] if named is None else named[1]
     if named is not None and len(places) != len(marking.labels):

@@ -31,7 +31,7 @@ class ReaderThread:
         self._thread.start()
 
     async def stop(self) -> None:
-        """Returns when ``read`` will not be called again."""
+        """Stop the thread; return when ``read`` will not be called again."""
         self._stopping.set()
         await asyncio.to_thread(self._thread.join)
 
@@ -53,7 +53,7 @@ class ReaderThread:
 
 
 async def open_in_thread(open_blocking: Callable[[], T], discard: Callable[[T], object]) -> T:
-    """What ``open_blocking`` gives, opened without blocking the loop.
+    """Return what ``open_blocking`` returns, opened without blocking the loop.
 
     A thread cannot be interrupted: when the caller is cancelled, what is opened after all is discarded.
     """

@@ -61,7 +61,7 @@ class ReconnectingLink:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
-        """``strict``: the first ``open`` raises ``LinkError`` rather than go on trying. ``clock`` in s."""
+        """Keep ``link`` open; if ``strict``, the first ``open`` raises ``LinkError`` instead of retrying."""
         self.link = link
         self.name = link.name
         self.framing = link.framing
@@ -89,7 +89,7 @@ class ReconnectingLink:
         return self.status.state
 
     async def open(self) -> None:
-        """One attempt; when it fails, iterating goes on trying (``strict``: raises ``LinkError``)."""
+        """Make one attempt; when it fails, iterating goes on trying (``strict``: raises ``LinkError``)."""
         if self.state is not LinkState.CLOSED:
             raise LinkError(f"{self.name} is already open")
         self._closing = asyncio.Event()
@@ -129,7 +129,7 @@ class ReconnectingLink:
                 await self._give_up(reason)
 
     async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
-        """As the link does; raises ``LinkError`` while it is not up."""
+        """Write as the link does. Raises ``LinkError`` while it is not up."""
         if self.state is not LinkState.UP:
             raise LinkError(
                 f"{self.name} is {self.state.value}{self.status.reason and ': '}{self.status.reason}"

@@ -101,7 +101,7 @@ class RecordingFile:
             raise RecordingError(f"recording {path} cannot be read: {error.strerror}") from error
 
     def messages(self) -> Iterator[RecordedMessage]:
-        """All messages, in the order in which they were written, up to the end or the last good one."""
+        """Yield all messages, in the order in which they were written, up to the end or the last good one."""
         topics: dict[int, str] = {}
         for record in self.records():
             if isinstance(record, Message):
@@ -110,7 +110,7 @@ class RecordingFile:
                 topics[record.id] = record.topic
 
     def records(self) -> Iterator[ContentRecord]:
-        """Everything that is no index: for copying a file."""
+        """Yield everything that is no index: for copying a file."""
         self.defect, self.damaged_chunks = None, 0
         count = 0
         for record in self._outer_records():
@@ -120,6 +120,7 @@ class RecordingFile:
                 continue
             try:
                 inner = chunk_records(record, most_records(self.position) - count)
+            # One damaged chunk does not end the file: the chunks after it are read as usual.
             except DAMAGE:
                 self.damaged_chunks += 1
                 continue
@@ -131,7 +132,7 @@ class RecordingFile:
             self.defect = f"{self.path}: {self.damaged_chunks} damaged pieces were left out"
 
     def _outer_records(self) -> Iterator[McapRecord]:
-        """Records up to the end of the data; sets ``defect`` where that is not the end of the file."""
+        """Yield records up to the end of the data; set ``defect`` where that is not the end of the file."""
         self.position = 0
         with self.path.open("rb") as file:
             reader = StreamReader(file, emit_chunks=True, record_size_limit=LARGEST_RECORD)
@@ -186,7 +187,7 @@ class RecordingParts:
     """A file and those that follow it in its session, read as one."""
 
     def __init__(self, path: str | Path) -> None:
-        """Raises ``RecordingError`` as ``RecordingFile`` does."""
+        """Open the parts of a session. Raises ``RecordingError`` as ``RecordingFile`` does."""
         self.files = [RecordingFile(path), *_following(RecordingFile(path))]
         self.path = self.files[0].path
         self.head = self.files[0].head
@@ -212,7 +213,7 @@ class RecordingParts:
         return sum(file.position for file in self.files)
 
     def messages(self) -> Iterator[RecordedMessage]:
-        """As of ``RecordingFile``, one file after another."""
+        """Yield messages as ``RecordingFile`` does, one file after another."""
         for file in self.files:
             file.position = 0
         for file in self.files:
@@ -220,18 +221,21 @@ class RecordingParts:
 
 
 def most_records(size: int) -> int:
-    """How many records so many bytes of a file may unpack to."""
+    """Return how many records so many bytes of a file may unpack to."""
     return size // BYTES_A_RECORD + MOST_RECORDS_BEFORE
 
 
 def chunk_records(chunk: Chunk, most: int) -> list[McapRecord]:
-    """The records in a chunk, ``most`` at the most. Raises one of ``DAMAGE``; the bytes unpacked never take
-    more memory than ``LARGEST_CHUNK``."""
+    """Return the records in a chunk, ``most`` at most. Raises one of ``DAMAGE``.
+
+    The bytes unpacked never take more memory than ``LARGEST_CHUNK``.
+    """
     size = chunk.uncompressed_size
     if size > LARGEST_CHUNK:
         raise ValueError(f"a chunk of {size} bytes: at most {LARGEST_CHUNK} are read")
     if chunk.compression == "zstd":
         with zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK).stream_reader(chunk.data) as unpacked:
+            # One byte more than the chunk states shows that it understates its size.
             data = unpacked.read(size + 1)
     elif not chunk.compression:
         data = chunk.data
@@ -245,7 +249,7 @@ def chunk_records(chunk: Chunk, most: int) -> list[McapRecord]:
 
 
 def plain_json(data: str | bytes) -> Any:
-    """JSON as somebody wrote it. Raises ``ValueError`` for what is none, and what is nested too deeply."""
+    """Return JSON that somebody wrote. Raises ``ValueError`` for what is none, or is nested too deeply."""
     try:
         found = json.loads(data)
     except RecursionError:
@@ -264,7 +268,7 @@ def plain_json(data: str | bytes) -> Any:
 
 
 def _has_at_most(data: bytes, most: int) -> bool:
-    """Whether unpacked records are so many; they are only counted, not read."""
+    """Return whether unpacked records are at most ``most``; they are only counted, not read."""
     at, count = 0, 0
     while at < len(data) and count <= most:
         at += _RECORD_HEAD.size + _RECORD_HEAD.unpack_from(data, at)[1]
@@ -273,12 +277,12 @@ def _has_at_most(data: bytes, most: int) -> bool:
 
 
 def part_path(first: Path, part: int) -> Path:
-    """Where a part of the session stands whose first file is ``first``."""
+    """Return where a part of the session stands whose first file is ``first``."""
     return first if part == 1 else first.with_name(f"{first.stem}_part{part}{first.suffix}")
 
 
 def _following(file: RecordingFile) -> list[RecordingFile]:
-    """The later parts of a session that lie beside this one."""
+    """Return the later parts of a session that lie beside this one."""
     mark = f"_part{file.head.part}"
     stem = file.path.stem.removesuffix(mark) if file.head.part > 1 else file.path.stem
     first = file.path.with_name(stem + file.path.suffix)

@@ -135,24 +135,24 @@ KINDS: dict[str, ChannelKind] = {
 
 
 def kind_of(topic: str) -> ChannelKind:
-    """How messages of a topic are encoded. Raises KeyError for a topic that no recording has."""
+    """Return how messages of a topic are encoded. Raises ``KeyError`` for a topic that no recording has."""
     if topic.startswith(DATAGRAMS):
         return DATAGRAM_KIND
     return CHUNK_KIND if topic.startswith((CHUNKS, SENT)) else KINDS[topic]
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file is a recording by its name."""
+    """Return whether a file is a recording by its name."""
     return path.suffix == SUFFIX and not path.name.endswith(EXPORTED)
 
 
 def is_known(topic: str) -> bool:
-    """Whether this version knows what stands there."""
+    """Return whether this version knows what stands under a topic."""
     return topic.startswith(OF_LINKS) or topic in KINDS
 
 
 def link_of(topic: str) -> str | None:
-    """The link whose topic it is; None for a topic of no link."""
+    """Return the link whose topic it is; None for a topic of no link."""
     return topic.split("/", 2)[2] if topic.startswith(OF_LINKS) else None
 
 
@@ -165,7 +165,7 @@ def message_of(chunk: Chunk) -> tuple[str, bytes]:
 
 
 def chunk_of(topic: str, time_ns: int, data: bytes) -> Chunk | None:
-    """What a link gave, from its topic and message; None for any other topic, and for a damaged message."""
+    """Return what a link gave, from its topic and message; None for another topic or a damaged message."""
     if topic.startswith(CHUNKS):
         return Chunk(data, time_ns, topic.removeprefix(CHUNKS))
     if not (topic.startswith(DATAGRAMS) and data and len(data) > data[0]):

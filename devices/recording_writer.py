@@ -37,8 +37,13 @@ class RecordingWriter:
     def __init__(
         self, path: str | Path, session: Mapping[str, str], attachments: Mapping[str, bytes], created_ns: int
     ) -> None:
-        """session: the keys of ``recording_format.SESSION``. Raises ``RecordingError`` when there is such a
-        file already, OSError as ``open`` does, or for a full disk; then there is no file."""
+        """Begin a file.
+
+        session: the keys of ``recording_format.SESSION``.
+
+        Raises ``RecordingError`` when the file exists, ``OSError`` as ``open`` does and for a full disk; then
+        there is no file.
+        """
         self.path = Path(path)
         self._indices = _ChunkIndices(self.path.parent)
         try:
@@ -142,7 +147,7 @@ class DerivedRecordingWriter(RecordingWriter):
         *,
         replaces: bool = False,
     ) -> None:
-        """As of a ``RecordingWriter``. replaces: it may take the place of a file that is there."""
+        """Begin a file as ``RecordingWriter`` does; ``replaces`` lets it replace an existing one."""
         self._target = Path(path)
         if not replaces and self._target.exists():
             raise RecordingError(f"{path} exists already: choose another name")
@@ -171,7 +176,7 @@ class _ChunkIndices:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Raises OSError, which names the folder: nobody knows the file that is opened there."""
+        """Open a temporary file. Raises ``OSError`` naming the folder: users do not know the file itself."""
         try:
             self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - closed with the writer
         except OSError as error:
@@ -179,6 +184,7 @@ class _ChunkIndices:
             raise
 
     def append(self, index: ChunkIndex) -> None:
+        """Keep the index of a chunk until the file is finished."""
         record = RecordBuilder()
         index.write(record)
         self._file.write(record.end())  # type: ignore[no-untyped-call]
@@ -192,6 +198,7 @@ class _ChunkIndices:
             yield ChunkIndex.read(stream)
 
     def close(self) -> None:
+        """Close and remove the temporary file."""
         with contextlib.suppress(OSError):  # a full disk: nobody wants what is still to be written to it
             self._file.close()
 
@@ -205,13 +212,16 @@ class _Buffered:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
 
     def write(self, data: bytes) -> int:
+        """Hold bytes until ``flush``; return how many they are."""
         self._pending += data
         return len(data)
 
     def tell(self) -> int:
+        """Return the position behind everything written and pending, bytes."""
         return self.written + len(self._pending)
 
     def flush(self) -> None:
+        """Write everything that is pending; on an error cut the file back to what was whole."""
         remaining = memoryview(bytes(self._pending))
         self._pending.clear()
         length = len(remaining)
@@ -224,9 +234,11 @@ class _Buffered:
         self.written += length
 
     def fileno(self) -> int:
+        """Return the file's descriptor."""
         return self._descriptor
 
     def close(self) -> None:
+        """Close the file; what is pending is lost."""
         os.close(self._descriptor)
 
 

@@ -49,7 +49,7 @@ class ReplayLink:
         speed: float | None = 1.0,
         name: str | None = None,
     ) -> None:
-        """link: the one recorded link wanted; None: all. name: what to call it, where it is one link."""
+        """Prepare to play; ``link`` is the one recorded link wanted, None: all; ``name`` what to call it."""
         if speed is not None and not speed > 0:
             raise ValueError(f"speed {speed}: give a positive number, or None for as fast as possible")
         self.path = Path(path)
@@ -116,7 +116,7 @@ class ReplayLink:
             _log.warning("%s", self.defect)
 
     async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
-        """Nothing: the modules of a recording take no commands."""
+        """Do nothing: the modules of a recording take no commands."""
 
     async def close(self) -> None:
         """End iterating, also while it waits for the next chunk's time."""
@@ -149,7 +149,7 @@ class _Pace:
         self._first_ns: int | None = None
 
     async def until(self, arrived_ns: int, *, is_ours: bool) -> None:
-        """Until the turn of a chunk that arrived then; one of another link only tells where time begins."""
+        """Wait for the turn of a chunk that arrived then; one of another link only sets where time begins."""
         if self._first_ns is None:
             self._first_ns = arrived_ns
         if not is_ours or self._speed is None:

@@ -58,7 +58,7 @@ class Roster:
         return conflicts(self.ids)
 
     def find(self, text: str) -> Device:
-        """The device meant by a module id (``3``, ``relay``) or by the beginning of a unique id.
+        """Return the device meant by a module id (``3``, ``relay``) or by the beginning of a unique id.
 
         Raises ``UnknownDeviceError``, naming what there is.
         """
@@ -78,7 +78,7 @@ class Roster:
 
 
 def conflicts(ids: dict[bytes, int]) -> tuple[Conflict, ...]:
-    """Where devices share a module id."""
+    """Return the module ids that several devices share."""
     sharing: dict[int, list[bytes]] = defaultdict(list)
     for unique_id, module in sorted(ids.items()):
         sharing[module].append(unique_id)

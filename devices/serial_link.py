@@ -71,6 +71,7 @@ class SerialLink:
                     await self._wait_until_writable(descriptor)
 
     async def close(self) -> None:
+        """Give the port back; iterating the link ends."""
         self._release(None)
 
     def _receive(self, descriptor: int) -> None:

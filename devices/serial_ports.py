@@ -16,7 +16,7 @@ BY_ID = Path("/dev/serial/by-id")
 
 
 def serial_ports() -> list[str]:
-    """Paths of the serial ports present, the stable by-id names first, each port once."""
+    """Return the paths of the serial ports present, stable by-id names first, each port once."""
     by_id = sorted(str(path) for path in BY_ID.iterdir()) if BY_ID.is_dir() else []
     named = {os.path.realpath(path) for path in by_id}
     others = sorted(port.device for port in list_ports.comports() if port.device not in named)
@@ -24,7 +24,7 @@ def serial_ports() -> list[str]:
 
 
 def open_error(path: str, error: OSError) -> LinkError:
-    """One line for a port that could not be opened: what was found, and what would do."""
+    """Return the error of a port that could not be opened: what was found, and the remedy."""
     match error.errno:
         case errno.ENOENT | errno.ENODEV | errno.ENXIO:
             return LinkError(f"{path}: {_absence(path)}; {_ports_present()}")
@@ -41,7 +41,7 @@ def open_error(path: str, error: OSError) -> LinkError:
 
 
 def port_holder(path: str) -> str:
-    """The process that has the port locked or open, as far as this user may see."""
+    """Return the process that has the port locked or open, as far as this user may see."""
     device = os.path.realpath(path)
     holders = list(_lock_holders(device)) or [pid for pid in _open_holders(device) if pid != os.getpid()]
     if not holders:
@@ -57,7 +57,7 @@ def port_holder(path: str) -> str:
 
 
 def _lock_holders(device: str) -> Iterator[int]:
-    """Processes with a lock on the device file: fields 4 and 5 of /proc/locks are pid and file."""
+    """Yield processes with a lock on the device file, from fields 4 and 5 of /proc/locks: pid and file."""
     try:
         status = os.stat(device)
         locks = Path("/proc/locks").read_text().splitlines()

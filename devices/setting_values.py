@@ -16,14 +16,14 @@ SETTING_KEYS: dict[str, int] = {setting.name: key for key, setting in SETTINGS.i
 
 
 def setting_key(name: str) -> int:
-    """The number of a setting. Raises ``ValueError`` naming those there are."""
+    """Return the number of a setting. Raises ``ValueError`` naming those there are."""
     if name not in SETTING_KEYS:
         raise ValueError(f"there is no setting '{name}'{nearest(name, SETTING_KEYS)}")
     return SETTING_KEYS[name]
 
 
 def encoded_setting(name: str, value: Value) -> bytes:
-    """A value as it goes to the device. Raises ``ValueError`` naming the setting and its limits."""
+    """Return a value as it goes to the device. Raises ``ValueError`` naming the setting and its limits."""
     key = setting_key(name)
     try:
         return encode_value(key, tuple(value) if isinstance(value, list) else value)
@@ -32,12 +32,12 @@ def encoded_setting(name: str, value: Value) -> bytes:
 
 
 def decoded_setting(name: str, raw: bytes) -> Value | None:
-    """The value in what a device gave; None when it holds none."""
+    """Return the value in what a device gave; None when it holds none."""
     return decode_value(setting_key(name), raw)
 
 
 def _limits(declared: WireField) -> str:
-    """What a setting takes, in words."""
+    """Return in words what a setting takes."""
     if declared.meanings:
         allowed = ", ".join(f"{number} ({meaning})" for number, meaning in declared.meanings.items())
     elif declared.is_text:

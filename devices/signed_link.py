@@ -24,12 +24,12 @@ _NOT_FOR_OTHERS = 0o027
 
 
 def time_count() -> int:
-    """What a count begins at where there is a clock."""
+    """Return what a count begins at where there is a clock."""
     return time.time_ns() // _COUNT_STEP_NS
 
 
 def read_key(path: Path) -> bytes:
-    """The key in a file: its first line, 64 hexadecimal digits.
+    """Return the key in a file: its first line, 64 hexadecimal digits.
 
     Raises ValueError, naming the file and never its content: it cannot be read, others may read or the group
     may change it, or it is no key.
@@ -40,6 +40,7 @@ def read_key(path: Path) -> bytes:
             line = opened.readline(2 * KEY_SIZE + 2)
     except OSError as error:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from None
+    # Asked of the open file, not of the path: between two looks somebody could put another file there.
     if mode & _NOT_FOR_OTHERS:
         raise ValueError(f"{path} is open to others: chmod 600 {path}")
     try:
@@ -69,7 +70,7 @@ class SignedLink:
     """
 
     def __init__(self, link: LiveLink, key: bytes) -> None:
-        """Nothing that was signed before this moment is taken, by this machine's clock."""
+        """Sign what is written to ``link``, and accept only what is signed from now on, by this clock."""
         self.link = link
         self.name = link.name
         self.framing = link.framing
@@ -84,7 +85,7 @@ class SignedLink:
         return counts if isinstance(counts, LinkCounts) else LinkCounts()
 
     async def open(self) -> None:
-        """As the link itself. Counts go on where they were."""
+        """Open the link; counts go on where they were."""
         await self.link.open()
         self._frames.restart()
 
@@ -109,7 +110,7 @@ class SignedLink:
         await self.link.write(signed, to)
 
     async def close(self) -> None:
-        """As the link itself."""
+        """Close the link."""
         await self.link.close()
 
     async def _give_count(self, sender: str) -> None:

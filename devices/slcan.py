@@ -64,7 +64,7 @@ _REPLIES = frozenset(b"zZVvNF")  # transmission done, version, serial number, st
 
 
 def open_commands(bitrate: int, data_bitrate: int | None = None) -> list[bytes]:
-    """What an adapter is told, in order, to join the bus at ``bitrate`` [bit/s].
+    """Return what an adapter is told, in order, to join the bus at ``bitrate`` [bit/s].
 
     ``data_bitrate`` [bit/s] makes it an FD bus. Raises ValueError for a rate that slcan cannot name.
     """
@@ -75,7 +75,7 @@ def open_commands(bitrate: int, data_bitrate: int | None = None) -> list[bytes]:
 
 
 def encode_slcan(frame: CanFrame) -> bytes:
-    """The line that sends ``frame``. Raises ValueError when CAN has no such frame."""
+    """Return the line that sends ``frame``. Raises ``ValueError`` when CAN has no such frame."""
     line = _Line(frame.is_extended, frame.is_remote, frame.is_fd, frame.bitrate_switch and frame.is_fd)
     letter = _LETTERS.get(line)
     identifier_bits = 29 if frame.is_extended else 11
@@ -104,7 +104,8 @@ class SlcanDecoder:
         self._skipping = False
 
     def feed(self, chunk: bytes) -> list[CanFrame]:
-        """The CAN frames that this chunk completes, in order."""
+        """Return the CAN frames that this chunk completes, in order."""
+        # An adapter answers a refused command with a bell in place of a carriage return.
         if _BELL in chunk:
             self.refused += chunk.count(_BELL)
             chunk = chunk.replace(_BELL, b"\r")

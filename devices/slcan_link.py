@@ -33,7 +33,7 @@ class SlcanLink:
         data_bitrate: int = DEFAULT_DATA_BITRATE,
         name: str | None = None,
     ) -> None:
-        """``bitrate`` and (FD) ``data_bitrate`` in bit/s. Raises ValueError when slcan has no such rate."""
+        """Prepare a link, not yet open; rates in bit/s. Raises ``ValueError`` when slcan has no such rate."""
         self.name = name or stream.name
         self.decoder = SlcanDecoder()
         self._stream = stream

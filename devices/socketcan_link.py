@@ -54,7 +54,9 @@ class SocketCanLink:
     def __init__(
         self, channel: str, *, fd: bool = False, bitrate: int = 1_000_000, name: str | None = None
     ) -> None:
-        """``bitrate`` [bit/s] only serves to spell out the command when the interface is down."""
+        """Prepare a link, not yet open; ``bitrate`` [bit/s] only completes the remedy for an interface that
+        is down.
+        """
         self.name = name or f"can://socketcan/{channel}"
         self.channel = channel
         self.bus_errors: Counter[BusError] = Counter()
@@ -97,6 +99,7 @@ class SocketCanLink:
             await self._send(kernel_bytes(frame))
 
     async def close(self) -> None:
+        """Leave the bus; iterating the link ends."""
         self._release(None)
 
     def _receive(self, bus: socket.socket) -> None:
@@ -190,7 +193,7 @@ class SocketCanLink:
 
 
 def open_can_socket(channel: str, fd: bool) -> socket.socket:
-    """A non-blocking raw socket on the interface. Raises OSError."""
+    """Return a non-blocking raw socket on the interface. Raises ``OSError``."""
     if not hasattr(socket, "AF_CAN"):
         raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
@@ -215,7 +218,7 @@ def set_receive_buffer(bus: socket.socket) -> None:
 
 
 def has_carrier(channel: str) -> bool:
-    """Whether the interface takes part in its bus: a controller in bus-off does not."""
+    """Return whether the interface takes part in its bus: a controller in bus-off does not."""
     try:
         return Path(f"/sys/class/net/{channel}/carrier").read_text().strip() != "0"
     except OSError:  # down, or no such interface: reading and writing will tell
@@ -223,7 +226,7 @@ def has_carrier(channel: str) -> bool:
 
 
 def can_interfaces() -> list[str]:
-    """Names of the CAN interfaces that the kernel has."""
+    """Return the names of the CAN interfaces that the kernel has."""
     names = []
     for path in sorted(Path("/sys/class/net").glob("*/type")):
         with contextlib.suppress(OSError):
@@ -233,7 +236,7 @@ def can_interfaces() -> list[str]:
 
 
 def frame_from_kernel(data: bytes) -> CanFrame:
-    """A ``struct can_frame`` (16 bytes) or ``struct canfd_frame`` (72 bytes)."""
+    """Return the frame of a ``struct can_frame`` (16 bytes) or ``struct canfd_frame`` (72 bytes)."""
     is_fd = len(data) == _CANFD_FRAME.size
     flags = 0
     if is_fd:
@@ -252,7 +255,7 @@ def frame_from_kernel(data: bytes) -> CanFrame:
 
 
 def kernel_bytes(frame: CanFrame) -> bytes:
-    """The inverse of ``frame_from_kernel``."""
+    """Return the kernel's struct of a frame: the inverse of ``frame_from_kernel``."""
     flagged = (
         frame.identifier | _EXTENDED * frame.is_extended | _REMOTE * frame.is_remote | _ERROR * frame.is_error
     )

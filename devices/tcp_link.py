@@ -33,7 +33,7 @@ def keep_alive(connected: socket.socket) -> None:
 
 
 def connect_error(host: str, port: int, error: OSError) -> LinkError:
-    """What a connection that could not be made means to whoever wanted it."""
+    """Return the error of a connection that could not be made, with its remedy."""
     place = f"{host}:{port}"
     if isinstance(error, socket.gaierror):
         return LinkError(f"unknown host '{host}': correct the name or give its address")
@@ -117,6 +117,10 @@ class _Connection(asyncio.Protocol):
         self._gone = asyncio.Event()
 
     async def send(self, data: bytes) -> None:
+        """Write bytes, and wait while too much is pending.
+
+        Raises ``LinkError`` once the connection is closed.
+        """
         await self._may_write.wait()
         if self._transport is None or self._arrivals.has_ended:
             raise self._arrivals.error or LinkError(f"{self._place} closed the connection")
@@ -124,12 +128,14 @@ class _Connection(asyncio.Protocol):
         await self._may_write.wait()
 
     async def close(self) -> None:
+        """Abort the connection, and wait until it is gone."""
         self._arrivals.end()
         if self._transport is not None:
             self._transport.abort()
             await self._gone.wait()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Set up a new connection's socket."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         connected = transport.get_extra_info("socket")
@@ -138,16 +144,20 @@ class _Connection(asyncio.Protocol):
         keep_alive(connected)
 
     def data_received(self, data: bytes) -> None:
+        """Hand bytes over with the time of their arrival."""
         self._arrivals.put(data, gateway_time_ns())
 
     def connection_lost(self, error: Exception | None) -> None:
+        """End the link, and wake whoever waits to write."""
         lost = LinkError(f"connection to {self._place} was lost: {error}") if error is not None else None
         self._arrivals.end(lost)
         self._gone.set()
         self._may_write.set()
 
     def pause_writing(self) -> None:
+        """Keep ``send`` waiting: the system takes no more."""
         self._may_write.clear()
 
     def resume_writing(self) -> None:
+        """Let ``send`` go on."""
         self._may_write.set()

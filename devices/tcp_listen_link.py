@@ -28,7 +28,7 @@ class TcpListenLink:
     def __init__(
         self, host: str, port: int = 0, *, name: str | None = None, peers: Collection[Network] = ()
     ) -> None:
-        """peers: addresses that may connect, others are counted and turned away; empty: any."""
+        """Prepare to listen; ``peers`` may connect, others are counted and turned away; empty: any."""
         self.name = name or f"tcp://{host}:{port}?listen=1"
         self.host = host
         self.port = port
@@ -83,7 +83,7 @@ class TcpListenLink:
         self._arrivals.end()
 
     def joined(self, caller: _Caller) -> bool:
-        """Whether somebody who connected may stay."""
+        """Return whether somebody who connected may stay."""
         if self._server is None or not self.peers.admits(caller.host):
             return False
         if self._caller is not None:
@@ -93,6 +93,7 @@ class TcpListenLink:
                     "%s: %s is turned away while %s is connected", self.name, caller.host, self._caller.host
                 )
                 return False
+            # The same host again: its former connection is dead, though the system does not know yet.
             self._caller.transport.abort()
         self._caller = caller
         _log.info("%s: %s has connected", self.name, caller.host)
@@ -120,6 +121,7 @@ class _Caller(asyncio.Protocol):
         self.host = ""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Set up the caller's socket, and hang up if the link does not want it."""
         assert isinstance(transport, asyncio.Transport)
         self.transport = transport
         self.host = str(transport.get_extra_info("peername")[0])
@@ -131,7 +133,9 @@ class _Caller(asyncio.Protocol):
             transport.abort()
 
     def data_received(self, data: bytes) -> None:
+        """Hand bytes over to the link."""
         self._link.said(self, data)
 
     def connection_lost(self, error: Exception | None) -> None:
+        """Report to the link that the caller is gone."""
         self._link.left(self)

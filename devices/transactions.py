@@ -50,7 +50,7 @@ class Exchange:
         now_s: float,
         known: Collection[bytes] = (),
     ) -> None:
-        """``known``: devices, by unique id, whose answers make another attempt needless; see ``is_over``."""
+        """Begin an exchange; it is over (``is_over``) once the ``known`` devices have answered."""
         self.command = command
         self.target = target
         """Module id in the header: 0 to 63, the relay's, or all."""
@@ -73,7 +73,7 @@ class Exchange:
         return self._due_s
 
     def takes_turn(self, now_s: float) -> bool:
-        """Whether the command is to be sent now; it is then taken as sent."""
+        """Return whether the command is to be sent now; it is then taken as sent."""
         if now_s < self._due_s or self.is_over(now_s):
             return False
         self._due_s = now_s + self._waits_s[self.attempts]
@@ -97,7 +97,7 @@ class Exchange:
         return self.attempts == len(self._waits_s) and now_s >= self._due_s
 
     def take(self, answer: Answer) -> bool:
-        """Whether the answer is a new one of a device that was asked."""
+        """Take an answer; return whether it is a new one of a device that was asked."""
         wanted = self.command.unique_id
         if wanted not in (ANYONE, answer.unique_id):
             return False
@@ -114,8 +114,11 @@ class Transactions:
     """The commands under way."""
 
     def __init__(self, first: int) -> None:
-        """``first``: number to begin with. A device still remembers the last few of whoever spoke to it
-        before, and would repeat its old answer to one of those: begin anywhere but where they began.
+        """Begin with the number ``first``.
+
+        A device remembers the last few numbers of whoever spoke to it before, and would repeat its old answer
+        to one
+        of them: begin anywhere but where they began.
         """
         self.unexpected = 0
         """Answers that nobody waited for: too late, or meant for another host."""
@@ -133,7 +136,7 @@ class Transactions:
         now_s: float,
         known: Collection[bytes] = (),
     ) -> Exchange:
-        """A new exchange, to be sent at once. ``unique_id`` other than ``ANYONE``: that device alone.
+        """Return a new exchange, to be sent at once; a ``unique_id`` asks that device alone, ``ANYONE`` all.
 
         known: of a command to all, the devices that are known to be there.
         """
@@ -153,7 +156,7 @@ class Transactions:
         self.duplicates += exchange.duplicates
 
     def take(self, acknowledgement: Acknowledgement, module: int, link: str) -> Exchange | None:
-        """The exchange that an acknowledgement brings on, if any."""
+        """Return the exchange that an acknowledgement advances, if any."""
         exchange = self._open.get(acknowledgement.transaction)
         if exchange is None or exchange.command.verb != acknowledgement.verb:
             self.unexpected += 1

@@ -47,7 +47,7 @@ class UdpLink:
         name: str | None = None,
         peers: Collection[Network] = (),
     ) -> None:
-        """peers: addresses that datagrams are taken from, others are counted and dropped; empty: any."""
+        """Prepare to receive; datagrams of ``peers`` are taken, others counted and dropped; empty: any."""
         self.name = name or f"udp://{host}:{port}"
         self.host = host
         self.port = port
@@ -141,7 +141,7 @@ class UdpLink:
 
 @functools.lru_cache(maxsize=512)
 def _address_of(name: str) -> Address:
-    """The address of a sender, from its name."""
+    """Return the address of a sender from its name."""
     host, _, port = name.rpartition(":")
     if not host.startswith("["):
         return host, int(port)
@@ -150,7 +150,7 @@ def _address_of(name: str) -> Address:
 
 
 def _bound(family: int, kind: int, protocol: int, _name: str, address: tuple[Any, ...]) -> socket.socket:
-    """A socket that receives there, and tells what the kernel had to drop. Raises OSError."""
+    """Return a socket bound there, which tells what the kernel had to drop. Raises ``OSError``."""
     made = socket.socket(family, kind, protocol)
     try:
         made.setblocking(False)

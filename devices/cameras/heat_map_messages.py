@@ -54,14 +54,15 @@ class HeatMapMessage:
 
 
 def quantised(likelihood: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Likelihoods 0 to 1 as bytes."""
+    """Return likelihoods of 0 to 1 as bytes."""
     cells: NDArray[np.uint8] = np.rint(255.0 * np.clip(likelihood, 0.0, 1.0)).astype(np.uint8)
+    # Nearly all cells are almost zero: as exact zeros they compress to almost nothing.
     cells[cells < FAINTEST] = 0
     return cells
 
 
 def encode_heat_maps(message: HeatMapMessage) -> bytes:
-    """Raises ``ValueError`` for names longer than 255 bytes."""
+    """Return a message as bytes. Raises ``ValueError`` for names longer than 255 bytes."""
     names = message.camera.encode(), message.network.encode()
     if max(map(len, names)) > 255:
         raise ValueError("names of cameras and networks have 255 bytes at most")
@@ -77,14 +78,14 @@ def encode_heat_maps(message: HeatMapMessage) -> bytes:
 
 
 def retimed(message: bytes, sequence: int, time_ns: int) -> bytes:
-    """The same message with another sequence and time."""
+    """Return a message with another sequence and time."""
     magic, version, n, m, has_maps, _, _, length = _HEAD.unpack_from(message)
     head = _HEAD.pack(magic, version, n, m, has_maps, sequence, time_ns, length)
     return head + message[_HEAD.size :]
 
 
 def is_one_message(data: bytes) -> bool:
-    """Whether the bytes begin as a message and are as long as it says, no longer than there are."""
+    """Return whether the bytes are one message, exactly as long as it says."""
     if len(data) < _HEAD.size or not data.startswith(MAGIC):
         return False
     length: int = _HEAD.unpack_from(data)[-1]
@@ -101,7 +102,7 @@ class HeatMapReceiver:
         self._rest = b""
 
     def receive(self, data: bytes) -> list[HeatMapMessage]:
-        """The messages that these bytes complete."""
+        """Return the messages that these bytes complete."""
         rest = self._rest + data
         found = []
         while (start := rest.find(MAGIC)) >= 0:
@@ -124,12 +125,13 @@ class HeatMapReceiver:
             else:
                 self.received += 1
                 found.append(message)
+        # The beginning of a message may be cut anywhere, also within its magic number.
         self._rest = rest if rest.startswith(MAGIC) else rest[-len(MAGIC) + 1 :]
         return found
 
 
 def _read(data: bytes) -> HeatMapMessage | None:
-    """One whole message; None: it contradicts itself."""
+    """Return one whole message; None: it contradicts itself."""
     _, _, n, m, has_maps, sequence, time_ns, _ = _HEAD.unpack_from(data)
     body = data[_HEAD.size :]
     try:

@@ -37,13 +37,13 @@ class PictureKeypoints:
 
 
 def is_keypoints(place: str) -> bool:
-    """Whether a path holds keypoints: a ``.json``, or a folder with such files."""
+    """Return whether a path holds keypoints: a ``.json``, or a folder with such files."""
     path = Path(place)
     return (path.suffix.lower() == ".json" and path.is_file()) or (path.is_dir() and any(path.glob("*.json")))
 
 
 def read_keypoints(path: Path) -> PictureKeypoints:
-    """A folder of files, one a picture, in the order of the last numbers in their names; or one file for all.
+    """Read a folder of files, one per picture, in the order of the last number in their names; or one file.
 
     Raises ``FormatError``.
     """

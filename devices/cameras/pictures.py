@@ -56,14 +56,14 @@ class PictureSource(Protocol):
     info: PictureInfo
 
     def __iter__(self) -> Iterator[tuple[int, Picture]]:
-        """Instants in ns since the first picture (live: gateway time), and pictures."""
+        """Yield instants in ns since the first picture (live: gateway time), and pictures."""
 
     def close(self) -> None:
         """Let go of the file or device."""
 
 
 def open_pictures(place: str, rate_hz: float | None = None) -> PictureSource:
-    """The source at a place; rate_hz: of a folder, whose images tell none. Raises ``CameraError``."""
+    """Return the source at a place; ``rate_hz`` is for a folder of images. Raises ``CameraError``."""
     if place.startswith(LIVE):
         return LiveCamera(place)
     path = Path(place)
@@ -111,7 +111,7 @@ class VideoFile:
             )
 
     def _check_time(self, index: int, time_s: float) -> None:
-        """Whether a picture stands where its own time says; files without times tell 0 of every picture."""
+        """Raise ``CameraError`` if a picture is not where its own time says; files without times give 0."""
         off = time_s * self.info.rate_hz - index
         if time_s > 0.0 and abs(off) > _MAY_BE_OFF:
             raise CameraError(
@@ -146,7 +146,7 @@ class PictureFolder:
             yield round(index * 1e9 / self.info.rate_hz), picture
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no file is held open."""
 
 
 class LiveCamera:
@@ -192,7 +192,7 @@ _LIVE_PROPERTIES = {
 
 
 def _why_unreadable(path: Path) -> str:
-    """What an unreadable file seems to be."""
+    """Return what is wrong with an unreadable file, as far as can be seen."""
     boxes = _mp4_boxes(path)
     if not path.stat().st_size:
         return "is empty"
@@ -205,7 +205,7 @@ def _why_unreadable(path: Path) -> str:
 
 
 def _mp4_boxes(path: Path) -> list[str]:
-    """Names of the outermost boxes of an MP4 file, as far as they can be followed (ISO/IEC 14496-12, 4.2)."""
+    """Return the outermost boxes of an MP4 file, as far as they can be followed (ISO/IEC 14496-12, 4.2)."""
     names: list[str] = []
     with path.open("rb") as file:
         while len(head := file.read(8)) == 8:
@@ -220,13 +220,13 @@ def _mp4_boxes(path: Path) -> list[str]:
 
 
 def image_files(folder: Path) -> list[Path]:
-    """The images of a folder in the order of the numbers in their names."""
+    """Return the images of a folder in the order of the numbers in their names."""
     found = [file for file in folder.iterdir() if file.suffix.lower() in IMAGES]
     return sorted(found, key=lambda file: [int(n) for n in re.findall(r"\d+", file.stem)] or [0])
 
 
 def read_image(file: Path) -> Picture:
-    """An image in colour. Raises ``CameraError``."""
+    """Return an image in colour. Raises ``CameraError``."""
     picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
     if picture is None:
         raise CameraError(f"{file}: is no image that can be read")

@@ -121,7 +121,7 @@ class Bench:
         return condition()
 
     async def answered(self, transaction: int, since: int, timeout_s: float = PATIENCE_S) -> bool:
-        """Whether the module answers a transaction in time."""
+        """Return whether the module answers a transaction in time."""
         return await self.until(lambda: bool(self.answers(transaction, since)), timeout_s)
 
     # What is said.
@@ -187,7 +187,7 @@ class Bench:
         return None
 
     async def is_answering(self) -> bool:
-        """Whether the module answers a command now; what it has to say to those before is heard by then."""
+        """Return whether the module answers a command now; its answers to earlier ones have come by then."""
         answer = await self.ask(Verb.HELLO, 1, 1)
         await asyncio.sleep(_QUIET_S)
         return answer is not None

@@ -13,7 +13,7 @@ SUFFIXES = {".c3d": read_c3d, ".trc": read_trc}
 
 
 def read_markers(path: Path) -> MarkerTrial:
-    """A trial by the suffix of its file. Raises ``FormatError``."""
+    """Read a trial by the suffix of its file. Raises ``FormatError``."""
     reader = SUFFIXES.get(path.suffix.lower())
     if reader is None:
         raise FormatError(f"{path}: marker files end in {' or '.join(SUFFIXES)}")

@@ -55,11 +55,14 @@ class C3DFile:
     layout: C3DLayout
 
     def rows(self) -> FloatArray:
-        """(F, 4 points + analog values) as stored. Raises ``FormatError`` without a whole frame."""
+        """Return the values of all frames (F, 4 points + analog values) as stored.
+
+        Raises ``FormatError`` without any.
+        """
         return _rows(self.content, self.layout, self.path)
 
     def number(self, name: str, default: float) -> float:
-        """The first value of a parameter ``GROUP:NAME``."""
+        """Return the first value of a parameter ``GROUP:NAME``."""
         return _number(self.parameters, name, default)
 
     @property
@@ -85,7 +88,7 @@ class C3DFile:
 
 
 def read_c3d(path: Path) -> MarkerTrial:
-    """All points of a file. Raises ``FormatError`` with what was found, and where in the file.
+    """Read all points of a file. Raises ``FormatError`` with what was found, and where in the file.
 
     A point is missing where its residual is negative, and where all its coordinates are exactly zero, as
     some systems write it.
@@ -138,7 +141,8 @@ def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], pa
 
 
 def _long_count(parameters: dict[str, Parameter]) -> int:
-    """Frames by the numbers of first and last, 32 bits in two words, as Vicon writes them; else 0."""
+    """Return the number of frames in Vicon's parameters, 32 bits in two words; 0 if they are not there."""
+    # The header's own count has 16 bits, which a long recording exceeds.
     first, last = (
         parameters[name].numbers() if name in parameters else np.zeros(0)
         for name in ("TRIAL:ACTUAL_START_FIELD", "TRIAL:ACTUAL_END_FIELD")
@@ -149,7 +153,7 @@ def _long_count(parameters: dict[str, Parameter]) -> int:
 
 
 def _rows(content: bytes, layout: C3DLayout, path: Path) -> FloatArray:
-    """(F, 4 points + analog values) as stored."""
+    """Return the values of all frames (F, 4 points + analog values) as stored."""
     n_frames = _whole_frames(content, layout)
     end = layout.start + n_frames * layout.frame_bytes
     if n_frames == 0:
@@ -166,12 +170,12 @@ def _rows(content: bytes, layout: C3DLayout, path: Path) -> FloatArray:
 
 
 def _whole_frames(content: bytes, layout: C3DLayout) -> int:
-    """Frames that are there, of those that the header tells."""
+    """Return how many whole frames are there, of those that the header announces."""
     return min(layout.n_frames, max(0, len(content) - layout.start) // layout.frame_bytes)
 
 
 def _points(rows: FloatArray, layout: C3DLayout) -> FloatArray:
-    """(F, M, 3) in the file's unit."""
+    """Return the points (F, M, 3) in the file's unit; NaN where the residual is negative."""
     points = rows[:, : 4 * layout.n_points].reshape(len(rows), layout.n_points, 4)
     places: FloatArray = points[:, :, :3] * (1.0 if layout.scale < 0 else layout.scale)
     places[points[:, :, 3] < 0] = np.nan
@@ -186,7 +190,8 @@ def _rate(content: bytes, parameters: dict[str, Parameter], processor: int, path
 
 
 def metres_per_unit(parameters: dict[str, Parameter], path: Path) -> float:
-    """Of the file's lengths. Raises ``FormatError`` for a unit that is not known."""
+    """Return metres per unit of the file's lengths. Raises ``FormatError`` for an unknown unit."""
+    # Most systems write millimetres, also those that do not say so.
     texts = parameters["POINT:UNITS"].texts() if "POINT:UNITS" in parameters else []
     unit = texts[0].lower() if texts and texts[0] else "mm"
     if unit not in METRES:
@@ -195,7 +200,7 @@ def metres_per_unit(parameters: dict[str, Parameter], path: Path) -> float:
 
 
 def _labels(parameters: dict[str, Parameter], n_points: int) -> tuple[str, ...]:
-    """Lists of labels hold 255 at most: longer ones go on in LABELS2, LABELS3, …"""
+    """Return the labels of all points; lists hold 255 at most, longer ones go on in LABELS2, LABELS3, …"""
     labels: list[str] = []
     for number in ["", *range(2, _LABEL_LISTS)]:
         parameter = parameters.get(f"POINT:LABELS{number}")

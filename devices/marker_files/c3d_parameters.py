@@ -32,7 +32,7 @@ class Parameter:
     processor: int
 
     def numbers(self) -> FloatArray:
-        """All values, flat. Integers are taken as unsigned, as long recordings need them."""
+        """Return all values, flat; integers are taken as unsigned, as long recordings need them."""
         order = ">" if self.processor == MIPS else "<"
         if self.kind == _FLOAT:
             return floats(self.data, self.processor)
@@ -41,7 +41,7 @@ class Parameter:
         return np.frombuffer(self.data, "u1" if self.kind == 1 else f"{order}u2").astype(np.float64)
 
     def texts(self) -> list[str]:
-        """The strings of a character parameter, without the spaces that fill them."""
+        """Return the strings of a character parameter, without the spaces that fill them."""
         if self.kind != _CHARACTERS:
             return []
         width = self.dimensions[0] if self.dimensions else 1
@@ -50,7 +50,7 @@ class Parameter:
 
 
 def floats(data: bytes, processor: int) -> FloatArray:
-    """Single-precision numbers of a file's processor.
+    """Return single-precision numbers of a file's processor.
 
     VAX F: the halves of the number change places, and the exponent is two larger than that of IEEE 754.
     """
@@ -64,7 +64,7 @@ def floats(data: bytes, processor: int) -> FloatArray:
 
 
 def read_parameters(content: bytes, block: int, where: str) -> tuple[int, dict[str, Parameter]]:
-    """The processor, and parameters by ``GROUP:NAME`` in capitals; the last of a name holds.
+    """Return the processor, and parameters by ``GROUP:NAME`` in capitals; the last of a name holds.
 
     block: number of the section's first block, from 1. Raises ``FormatError`` when the section is cut off or
     does not hold what it says.
@@ -88,17 +88,19 @@ def read_parameters(content: bytes, block: int, where: str) -> tuple[int, dict[s
 
 
 def _parameters(content: bytes, at: int, processor: int) -> dict[str, Parameter]:
-    """Walks the chain of groups and parameters."""
+    """Return the parameters that the chain of groups and parameters holds, from byte ``at`` on."""
     groups: dict[int, str] = {}
     found: dict[tuple[int, str], Parameter] = {}
     order = "big" if processor == MIPS else "little"
     while at + 2 <= len(content) and content[at] != 0:
+        # A negative length marks a locked entry; its size is the same.
         length = abs(int.from_bytes(content[at : at + 1], "big", signed=True))
         group = int.from_bytes(content[at + 1 : at + 2], "big", signed=True)
         name = content[at + 2 : at + 2 + length].decode("latin-1").upper()
         step_at = at + 2 + length
         step = int.from_bytes(content[step_at : step_at + 2], order, signed=False)  # type: ignore[arg-type]
         if group < 0:
+            # Groups may follow their parameters in the file, so names are joined at the end.
             groups[-group] = name
         else:
             found[group, name] = _parameter(content, step_at + 2, processor, name)

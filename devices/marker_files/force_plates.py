@@ -40,7 +40,7 @@ class ForcePlate:
         return middle
 
     def centre_of_pressure(self) -> FloatArray:
-        """(N, 3) m on the surface; NaN where hardly any force is."""
+        """Return the centre of pressure (N, 3), m, on the surface; NaN where there is hardly any force."""
         normal = np.cross(self.corners[0] - self.corners[2], self.corners[1] - self.corners[3])
         normal /= np.linalg.norm(normal)
         through = self.force @ normal
@@ -62,8 +62,7 @@ class ForcePlates:
 
 
 def read_force_plates(path: Path) -> ForcePlates:
-    """The plates of a file, none if it has none. Raises ``FormatError`` for a file or plate that cannot be
-    read."""
+    """Read the plates of a file, possibly none. Raises ``FormatError`` for one that cannot be read."""
     file = open_c3d(path)
     count = int(file.number("FORCE_PLATFORM:USED", 0))
     channels = int(file.number("ANALOG:USED", 0))
@@ -81,13 +80,14 @@ def read_force_plates(path: Path) -> ForcePlates:
 
 
 def _analog(file: C3DFile, channels: int) -> FloatArray:
-    """(N, channels) in the units of the file."""
+    """Return analog values (N, channels) in the units of the file."""
     stored = file.rows()[:, 4 * file.layout.n_points :].reshape(-1, channels)
     texts = file.parameters["ANALOG:FORMAT"].texts() if "ANALOG:FORMAT" in file.parameters else []
     is_unsigned = bool(texts) and texts[0].upper().startswith("UNSIGNED")
     if is_unsigned and file.layout.scale > 0:
         stored = np.where(stored < 0, stored + 65536.0, stored)
     offset = _each(file, "ANALOG:OFFSET", channels, 0.0)
+    # Offsets are read as unsigned; in a file of signed values those above 32767 are negative.
     if not is_unsigned:
         offset = np.where(offset > 32767, offset - 65536.0, offset)
     scale = _each(file, "ANALOG:SCALE", channels, 1.0) * file.number("ANALOG:GEN_SCALE", 1.0)
@@ -126,7 +126,7 @@ def _plate(file: C3DFile, index: int, count: int, analog: FloatArray) -> ForcePl
 
 
 def _without_offset(file: C3DFile, signals: FloatArray) -> FloatArray:
-    """Minus the mean over the frames in which FORCE_PLATFORM:ZERO says that nobody stands on it."""
+    """Subtract the mean over the frames in which, by FORCE_PLATFORM:ZERO, nobody stands on the plate."""
     parameter = file.parameters.get("FORCE_PLATFORM:ZERO")
     zero = parameter.numbers() if parameter is not None else np.zeros(0)
     if len(zero) < 2 or zero[0] < 1 or zero[1] < zero[0]:
@@ -164,8 +164,10 @@ def _at_surface(
 
 
 def _axes(corners: FloatArray, where: str) -> FloatArray:
-    """(3, 3) of the plate: x and y along its sides, z across. Raises ``FormatError`` for corners that make no
-    surface."""
+    """Return the plate's axes (3, 3): x and y along its sides, z across.
+
+    Raises ``FormatError`` for corners that make no surface.
+    """
     x = corners[0] + corners[3] - corners[1] - corners[2]
     y = corners[0] + corners[1] - corners[2] - corners[3]
     z = np.cross(x, y)
@@ -177,16 +179,16 @@ def _axes(corners: FloatArray, where: str) -> FloatArray:
 
 
 def _points_up(z: FloatArray) -> float:
-    """1 for an axis that points along that axis of the file which it is nearest to, -1 against it: up is
-    always positive."""
+    """Return 1 for an axis that points along the positive axis of the file nearest to it, else -1."""
     return 1.0 if z[np.argmax(np.abs(z))] > 0 else -1.0
 
 
 def _on_person(
     corners: FloatArray, axes: FloatArray, down: float, force: FloatArray, moment: FloatArray
 ) -> ForcePlate:
-    """From the plate's axes into those of the file, with the sign that pushes upwards."""
+    """Turn values from the plate's axes to those of the file, with the sign that pushes upwards."""
     pushed = force[:, 2] if len(force) else np.zeros(1)
+    # Files give either the force on the plate or that on the person: the floor can only push.
     sign = -1.0 if down * pushed[np.argmax(np.abs(pushed))] > 0 else 1.0
     return ForcePlate(corners, sign * force @ axes.T, sign * moment @ axes.T)
 
@@ -201,7 +203,7 @@ def _wired(file: C3DFile, index: int, count: int, where: str) -> FloatArray:
 
 
 def _table(file: C3DFile, name: str, shape: tuple[int, ...], where: str) -> FloatArray:
-    """A parameter of all plates, the last dimension of the file first."""
+    """Return a parameter of all plates, the last dimension of the file first."""
     parameter = file.parameters.get(f"FORCE_PLATFORM:{name}")
     numbers = parameter.numbers() if parameter is not None else np.zeros(0)
     if len(numbers) < np.prod(shape):

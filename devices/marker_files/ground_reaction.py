@@ -26,7 +26,10 @@ _LEAST_FORCE_N = 10.0
 
 
 def read_ground_reactions(path: Path) -> ForcePlates:
-    """Each foot's or plate's columns as one plate, axes of the file. Raises ``FormatError``, ``OSError``."""
+    """Read each foot's or plate's columns as one plate, axes of the file.
+
+    Raises ``FormatError``, ``OSError``.
+    """
     labels, table = _table(path)
     if labels[0].lower() != "time":
         raise FormatError(f"{path}: the first column is '{labels[0]}', 'time' is wanted")

@@ -17,7 +17,7 @@ _ONE_MORE = 3
 
 
 def plain(label: str) -> str:
-    """A label without case and punctuation."""
+    """Return a label without case and punctuation."""
     return _NOT_SPELT.sub("", label).casefold()
 
 
@@ -27,7 +27,7 @@ def spelt(
     others: Mapping[str, str] | None = None,
     person: str | None = None,
 ) -> MarkerTrial:
-    """The trial with its markers called as ``wanted``, where its file spells them otherwise.
+    """Return the trial with its markers named as ``wanted``, where its file spells them otherwise.
 
     Arguments and ``FormatError`` as of ``spellings``. Labels that are no spelling of a wanted one stay;
     another person's markers that bear the name of a wanted one are left out.
@@ -80,7 +80,7 @@ def spellings(
 
 
 def _bare(labels: Sequence[str]) -> list[str]:
-    """Labels without what stands before and behind all that are names (``Anna_Lee_LASI``, ``LASI-1``)."""
+    """Return labels without what precedes and follows all that are names (``Anna_Lee_LASI``, ``LASI-1``)."""
     named = [label for label in labels if label and not label.startswith("*")]
     if len(named) <= _ONE_MORE:
         return list(labels)
@@ -90,7 +90,8 @@ def _bare(labels: Sequence[str]) -> list[str]:
 
 
 def _shared_mark(texts: Sequence[str]) -> int:
-    """How many characters all texts begin with, up to the last that is no letter and no digit."""
+    """Return how many characters all texts begin with, up to the last that is no letter and no digit."""
+    # The first and last in alphabetical order differ soonest: what they share, all share.
     first, last = min(texts), max(texts)
     shared = next(
         (n for n, pair in enumerate(zip(first, last, strict=False)) if len({*pair}) > 1), len(first)
@@ -99,12 +100,12 @@ def _shared_mark(texts: Sequence[str]) -> int:
 
 
 def _known(labels: Iterable[str], meant: Mapping[str, str]) -> int:
-    """How many of the wanted labels some labels stand for."""
+    """Return how many of the wanted labels some labels stand for."""
     return len({meant[name] for name in map(plain, labels) if name in meant})
 
 
 def _first_of_each(found: Mapping[str, str]) -> dict[str, str]:
-    """Only the first label that stands for a wanted one."""
+    """Return only the first label that stands for each wanted one."""
     firsts: dict[str, str] = {}
     for label, name in found.items():
         firsts.setdefault(name, label)
@@ -112,13 +113,13 @@ def _first_of_each(found: Mapping[str, str]) -> dict[str, str]:
 
 
 def _owner(labels: Sequence[str]) -> str | None:
-    """The prefix that all of some labels have; None where they have not the same one."""
+    """Return the prefix that all of some labels share, or None."""
     prefixes = {match[1] if (match := _PREFIX.fullmatch(label)) else None for label in labels}
     return prefixes.pop() if len(prefixes) == 1 and len(labels) >= _ONE_MORE else None
 
 
 def _is_of_another(label: str, prefix: str | None, meant: Mapping[str, str]) -> bool:
-    """Whether a label is that of a wanted marker behind another person's name."""
+    """Return whether a label is that of a wanted marker behind another person's name."""
     match = _PREFIX.fullmatch(label)
     return match is not None and match[1] != prefix and plain(match[2]) in meant
 
@@ -131,7 +132,7 @@ def _prefix_of(
     owner: str | None,
     source: str,
 ) -> str | None:
-    """What stands before the labels; None where nothing does."""
+    """Return the person's name that precedes the wanted labels; None where nothing does."""
     split = [match for match in map(_PREFIX.fullmatch, labels) if match is not None]
     if person is not None:
         everyone = dict.fromkeys(match[1] for match in split)
@@ -157,7 +158,7 @@ def _without(label: str, prefix: str | None) -> str:
 
 
 def without_prefixes(labels: Sequence[str]) -> tuple[str, ...]:
-    """Labels without the name of a subject and a colon before them, unless two would then be the same."""
+    """Return labels without a subject's name and colon before them, unless two would then be the same."""
     bare = [label.rpartition(":")[2].strip() for label in labels]
     named = {label.strip(): name for label, name in zip(labels, bare, strict=True) if name and name[0] != "*"}
     if len(set(named.values())) < len(named):

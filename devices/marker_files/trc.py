@@ -21,7 +21,7 @@ _NOT_SEEN = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "missi
 
 
 def read_trc(path: Path) -> MarkerTrial:
-    """All markers of a file. Raises ``FormatError`` naming the line, and what was found there.
+    """Read all markers of a file. Raises ``FormatError`` naming the line, and what was found there.
 
     Empty fields, and three zeros, are a marker that was not seen.
     """
@@ -59,7 +59,7 @@ def read_trc(path: Path) -> MarkerTrial:
 
 
 def _rows(lines: list[str], begin: int, n_values: int, path: Path) -> tuple[list[list[float]], list[str]]:
-    """The values of all frames, and what of the end was left out: a line that is cut off, or text.
+    """Return the values of all frames, and notes on what was left out at the end: a line cut off, or text.
 
     Raises ``FormatError`` as ``_row`` does for any other line, and where there is no frame at all.
     """
@@ -82,7 +82,7 @@ def _rows(lines: list[str], begin: int, n_values: int, path: Path) -> tuple[list
 
 
 def _times(rows: list[str]) -> list[float]:
-    """s, of all frames; none where the first one's field is no time."""
+    """Return the times of all frames, s; empty where the first one's field is no time."""
     times = []
     for row in rows:
         fields = row.split("\t")
@@ -152,6 +152,6 @@ def _row(line: str, number: int, n_values: int, path: Path) -> list[float]:
 
 
 def _number(field: str) -> float:
-    """With a decimal point, or a comma as many countries have it; NaN for none. Raises ``ValueError``."""
+    """Return a number with decimal point or comma; NaN for none. Raises ``ValueError``."""
     text = field.strip().strip("\"'")
     return np.nan if text.lower() in _NOT_SEEN else float(text.replace(",", "."))

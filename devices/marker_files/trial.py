@@ -42,8 +42,9 @@ class MarkerTrial:
         return self.n_frames / self.rate_hz
 
     def columns(self, labels: tuple[str, ...]) -> FloatArray:
-        """(F, len(labels), 3) of the named points, m; NaN columns for those that the trial does not have."""
+        """Return the named points (F, len(labels), 3), m; NaN columns for those that the trial does not have."""
         chosen = np.full((self.n_frames, len(labels), 3), np.nan)
+        # Of two points with one label the first counts: read backwards, it is the one that stays.
         index = {label: i for i, label in reversed(list(enumerate(self.labels)))}
         for k, label in enumerate(labels):
             if label in index:
@@ -51,7 +52,7 @@ class MarkerTrial:
         return chosen
 
     def unlabelled(self) -> FloatArray:
-        """(F, U, 3) m of the points that the system could not name."""
+        """Return the points (F, U, 3), m, that the system could not name."""
         chosen = [i for i, label in enumerate(self.labels) if not label or label.startswith("*")]
         return self.positions[:, chosen]
 

@@ -69,7 +69,7 @@ class _Motion:
 def read_bvh(
     path: Path, leg_m: float, given: Mapping[str, str] | None = None, *, partial: bool = False
 ) -> Recording:
-    """A module for every segment of a person that the file has, by the segment's name, and the hips' path.
+    """Read a module for every segment of a person, by the segment's name, and the hips' path.
 
     leg_m: thigh and shank together of who shall move so, m: the file's unit follows from its own. given:
     joint to segment, where names do not tell. partial: take the frames before the first damage. Raises
@@ -107,7 +107,7 @@ def read_bvh(
 
 
 def _quaternions(rotations: FloatArray) -> FloatArray:
-    """(F, 4) wxyz of rotations (F, 3, 3)."""
+    """Return quaternions (F, 4), wxyz, of rotations (F, 3, 3)."""
     q: FloatArray = Rotation.from_matrix(rotations).as_quat(canonical=True, scalar_first=True)
     return q
 
@@ -210,12 +210,13 @@ def _numbers(words: list[str], count: int, path: Path, number: int) -> FloatArra
 
 
 def _posture(motion: _Motion) -> tuple[FloatArray, FloatArray]:
-    """Rotations (F, J, 3, 3) and places (F, J, 3) of all joints, file axes and unit."""
+    """Return rotations (F, J, 3, 3) and places (F, J, 3) of all joints, in the file's axes and unit."""
     frames, joints = len(motion.values), motion.joints
     turned, places = np.empty((frames, len(joints), 3, 3)), np.empty((frames, len(joints), 3))
     for j, joint in enumerate(joints):
         columns = motion.values[:, joint.first : joint.first + len(joint.channels)]
         kinds = [channel.lower() for channel in joint.channels]
+        # The order of the channels is the order of the rotations, and each joint may have another one.
         order = "".join(kind[0].upper() for kind in kinds if kind.endswith("rotation"))
         angles = columns[:, [n for n, kind in enumerate(kinds) if kind.endswith("rotation")]]
         own = Rotation.from_euler(order, angles, degrees=True).as_matrix() if order else np.eye(3)[None]
@@ -276,7 +277,7 @@ def _shoulder_for_arm(found: dict[str, int], side: str, joints: list[_Joint]) ->
 
 
 def _bearer(found: Mapping[str, int], joints: list[_Joint]) -> int | None:
-    """The joint that bears both arms and the neck, if it is not the hips."""
+    """Return the joint that carries both arms and the neck; None if it is the hips."""
     ways = [[*_way(joints, found[name])] for name in ("left_upper_arm", "right_upper_arm") if name in found]
     if len(ways) < 2:
         return None
@@ -295,7 +296,7 @@ def _plain(name: str) -> str:
 
 
 def _called(name: str, side: str) -> str | None:
-    """What is left of a joint's name without its side; None for another side or none."""
+    """Return what is left of a joint's name without its side; None for another side or none."""
     words = [word.lower() for word in _WORDS.findall(name.rpartition(":")[2])]
     sides = [n for n, word in enumerate(words) if word in _SIDES]
     if not sides or _SIDES[words[sides[0]]] != side:
@@ -304,7 +305,7 @@ def _called(name: str, side: str) -> str | None:
 
 
 def _up_axis(joints: list[_Joint], segments: Mapping[str, int], rest: FloatArray, path: Path) -> FloatArray:
-    """(3,) the axis of the file that points from the feet to the hips at rest, signed."""
+    """Return the axis of the file (3,) that points from the feet to the hips at rest, signed."""
     feet = 0.5 * (rest[segments["left_foot"]] + rest[segments["right_foot"]])
     tall = 0.5 * (rest[segments["left_thigh"]] + rest[segments["right_thigh"]]) - feet
     if not np.abs(tall).max() > 0:
@@ -318,7 +319,7 @@ def _up_axis(joints: list[_Joint], segments: Mapping[str, int], rest: FloatArray
 def _rest_axes(
     segments: Mapping[str, int], rest: FloatArray, up: FloatArray, right: FloatArray
 ) -> dict[str, FloatArray]:
-    """(3, 3) of every segment at rest, columns x forward, y up, z right, in the file's axes."""
+    """Return the axes (3, 3) of every segment at rest: x forward, y up, z right, in the file's axes."""
     level = right - (right @ up) * up
     forward = np.cross(up, level / np.linalg.norm(level))
     axes: dict[str, FloatArray] = {}

@@ -96,7 +96,10 @@ class ColumnMap(_Strict):
 def read_mapped_csv(
     path: Path | None, columns: ColumnMap, folder: Path, *, partial: bool = False
 ) -> Recording:
-    """path: the file of modules that name none; folder: where the named ones are. Raises ``FormatError``."""
+    """Read modules; ``path`` is of those that name no file, ``folder`` of those that do.
+
+    Raises ``FormatError``.
+    """
     refuse_repeats([module.name for module in columns.modules])
     sheets: dict[Path, Sheet] = {}
     modules: list[ModuleTrack] = []
@@ -133,7 +136,7 @@ def _sheet(file: Path, mapped: MappedModule, columns: ColumnMap, partial: bool) 
 
 
 def _module(sheet: Sheet, mapped: MappedModule, columns: ColumnMap) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) s and readings (n, 13): specific force, angular rate, field, orientation."""
+    """Return times (n,), s, and readings (n, 13): specific force, angular rate, field, orientation."""
     names = _wanted(mapped)
     table = sheet.columns([*([columns.time.column] if columns.time else []), *names])
     values = table[:, -len(names) :]

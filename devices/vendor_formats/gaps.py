@@ -19,7 +19,7 @@ _MOST_GAPS = 20
 
 
 def unwrapped(counter: FloatArray, bits: int, path: Path, column: str) -> IntArray:
-    """(n,) counter that goes on where it wrapped. Raises ``FormatError`` where it stands still."""
+    """Return a counter (n,) that goes on where it wrapped. Raises ``FormatError`` where it stands still."""
     if not np.isfinite(counter).all():
         raise FormatError(f"{path}: row {_first(~np.isfinite(counter))} has no '{column}'")
     whole = counter.astype(np.int64)
@@ -33,7 +33,7 @@ def unwrapped(counter: FloatArray, bits: int, path: Path, column: str) -> IntArr
 
 
 def index_of_times(times: FloatArray, path: Path) -> IntArray:
-    """(n,) number of each row at the usual interval, gaps counted. Raises ``FormatError``."""
+    """Return the number of each row (n,) at the usual interval, gaps counted. Raises ``FormatError``."""
     steps = np.diff(times)
     if not np.isfinite(times).all() or (steps <= 0).any():
         bad = ~np.isfinite(times)
@@ -51,7 +51,7 @@ def rate_of(steps: FloatArray, path: Path, decimals: int = 1) -> float:
 
 
 def checked_rate(rate_hz: float, path: Path) -> float:
-    """The rate itself. Raises ``FormatError`` for one that no module samples at."""
+    """Return the rate. Raises ``FormatError`` for one that no module samples at."""
     lowest, highest = _RATES
     if not lowest <= rate_hz <= highest:
         raise FormatError(
@@ -64,7 +64,7 @@ def checked_rate(rate_hz: float, path: Path) -> float:
 def spread(
     index: IntArray, times: FloatArray, values: FloatArray, path: Path
 ) -> tuple[FloatArray, FloatArray]:
-    """Times (m,) and values (m, k) with a row of NaN for every number that ``index`` (n,) leaves out."""
+    """Return times (m,) and values (m, k) with a row of NaN for every number that ``index`` (n,) leaves out."""
     at = index - index[0]
     length = int(at[-1]) + 1
     if length > _MOST_GAPS * len(at) + 1000:

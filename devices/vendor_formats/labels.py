@@ -13,7 +13,7 @@ MOST_MODULES = 60
 
 
 def labels_of(paths: Sequence[Path]) -> list[str]:
-    """A name for each file: its stem without what all have in common, cut between words."""
+    """Return a name for each file: its stem without what all have in common, cut between words."""
     stems = [path.stem for path in paths]
     words = [re.split(r"(?<=[_\- ])", stem) for stem in stems]
     shared = 0
@@ -25,7 +25,7 @@ def labels_of(paths: Sequence[Path]) -> list[str]:
 
 
 def refuse_repeats(labels: Sequence[str]) -> None:
-    """Raises ``FormatError`` for two modules of one name, or for more than there can be."""
+    """Raise ``FormatError`` for two modules of one name, or for more than there can be."""
     for label in labels:
         if labels.count(label) > 1:
             raise FormatError(f"two modules are called '{label}': name each once")

@@ -27,7 +27,7 @@ _SENSORS = [f"{sensor}_{axis}" for sensor in ("Acc", "Gyr", "Mag") for axis in "
 
 
 def read_movella_dot(paths: Sequence[Path], *, align: str = "stamps", partial: bool = False) -> Recording:
-    """Modules numbered from 0 in the order of the files.
+    """Read modules, numbered from 0 in the order of the files.
 
     align: ``stamps`` for modules that were synchronised, ``start`` lets all begin together. Raises
     ``FormatError``, also when stamps of several modules do not overlap.
@@ -46,7 +46,7 @@ def read_movella_dot(paths: Sequence[Path], *, align: str = "stamps", partial: b
 
 
 def _module(sheet: Sheet) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) s, by the module's clock, and readings (n, 13) as in ``MtFile``."""
+    """Return times (n,), s, by the module's clock, and readings (n, 13) as in ``MtFile``."""
     sensors = [name for name in _SENSORS if name in sheet.names]
     turn_names = orientation_columns(sheet)
     if not turn_names and not sheet.has(*_SENSORS[:3]):
@@ -69,6 +69,6 @@ def _module(sheet: Sheet) -> tuple[FloatArray, FloatArray]:
 
 
 def _tag(sheet: Sheet) -> str:
-    """What the user called the module in the app."""
+    """Return the name that the user gave the module in the app, or an empty text."""
     found = (re.match(r"DeviceTag:\s*,\s*(.+)", line) for line in sheet.preamble)
     return next((match.group(1).strip() for match in found if match), "")

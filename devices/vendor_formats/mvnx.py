@@ -44,7 +44,7 @@ class _Found:
 
 
 def read_mvnx(path: Path, *, partial: bool = False) -> Recording:
-    """A module for every segment, numbered from 0 in the file's order. Raises ``FormatError``."""
+    """Read a module for every segment, numbered from 0 in the file's order. Raises ``FormatError``."""
     found, note = _Found(), None
     try:
         for element in _elements(path):
@@ -87,7 +87,7 @@ def _recording(path: Path, found: _Found, note: str | None) -> Recording:
 
 
 def _elements(path: Path) -> Iterator[Element]:
-    """Elements as they end, names without namespace; what was taken is forgotten."""
+    """Yield elements as they end, names without namespace."""
     root: Element | None = None
     for event, element in iterparse(path, events=("start", "end"), forbid_dtd=True):
         element.tag = element.tag.rpartition("}")[2]
@@ -98,6 +98,7 @@ def _elements(path: Path) -> Iterator[Element]:
         elif element.tag in {"segment", "frame"}:
             yield element
             if element.tag == "frame":
+                # A long recording has millions of elements: without this all of them would stay in memory.
                 element.clear()
 
 

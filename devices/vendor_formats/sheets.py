@@ -42,7 +42,7 @@ class Sheet:
     """What was left out, after ``columns``."""
 
     def columns(self, wanted: Sequence[str]) -> FloatArray:
-        """(n, len(wanted)); an empty cell is NaN. Raises ``FormatError``."""
+        """Return columns (n, len(wanted)); an empty cell is NaN. Raises ``FormatError``."""
         absent = [name for name in wanted if name not in self.names]
         if absent:
             raise FormatError(
@@ -56,6 +56,7 @@ class Sheet:
             table: FloatArray = np.loadtxt(
                 self.rows, delimiter=self.delimiter, usecols=at, ndmin=2, comments=None
             )
+        # NumPy reads whole numbers fast, but neither empty cells nor does it say where it failed.
         except ValueError:
             table = self._one_by_one(at)
         if not len(table):
@@ -63,11 +64,11 @@ class Sheet:
         return table
 
     def has(self, *names: str) -> bool:
-        """Whether all these columns are there."""
+        """Return whether all these columns are there."""
         return all(name in self.names for name in names)
 
     def _one_by_one(self, at: list[int]) -> FloatArray:
-        """As slow as it is exact about what is wrong."""
+        """Return the columns, read cell by cell: slowly, but with errors that name the row."""
         table = []
         for row, line in enumerate(self.rows):
             try:
@@ -99,7 +100,7 @@ class Sheet:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Lines of a text file. Raises ``FormatError`` when it cannot be read, is empty or no text."""
+    """Return the lines of a text file. Raises ``FormatError`` when it cannot be read, is empty or no text."""
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise FormatError(f"{path} is larger than {LARGEST_FILE >> 20} MiB: split it")
@@ -121,7 +122,7 @@ def read_lines(path: Path) -> list[str]:
 def open_sheet(
     path: Path, is_header: Callable[[list[str]], bool], wanted: str, *, is_partial: bool = False
 ) -> Sheet:
-    """The table of a file whose line of names is the first that ``is_header`` says yes to.
+    """Return the table of a file whose line of names is the first that ``is_header`` accepts.
 
     wanted: what that line should have, for the error. Raises ``FormatError``.
     """

@@ -13,7 +13,7 @@ from devices.vendor_formats.xsens_text import add_tracks
 def stamped_tracks(
     labels: Sequence[str], tables: Sequence[tuple[FloatArray, FloatArray]], align: str
 ) -> tuple[list[ModuleTrack], list[FusedTrack]]:
-    """Of modules by number: raw readings, and orientations.
+    """Return the modules' tracks by number: raw readings, and orientations.
 
     tables: of each its stamps (n,), s, and rows as ``add_tracks`` wants them; align: ``stamps`` or ``start``.
     Raises ``FormatError``, also when stamps that are to agree do not overlap.

@@ -29,14 +29,14 @@ _SERIAL = re.compile(r"\s*[0-9A-F]{4}(-?[0-9A-F]{4})+\b.*$")
 
 
 def folders_of(path: Path) -> list[Path]:
-    """The modules' folders: the one named, or those in it."""
+    """Return the modules' folders: the one named, or those in it."""
     return (
         [path] if (path / INERTIAL).is_file() else sorted(each.parent for each in path.glob(f"*/{INERTIAL}"))
     )
 
 
 def read_ximu3(paths: Sequence[Path], *, align: str = "stamps", partial: bool = False) -> Recording:
-    """Modules numbered from 0 in the order of the folders, each with the name it gave itself.
+    """Read modules, numbered from 0 in the order of the folders, each with the name it gave itself.
 
     align: as of ``read_movella_dot``. Raises ``FormatError``.
     """
@@ -58,7 +58,7 @@ def read_ximu3(paths: Sequence[Path], *, align: str = "stamps", partial: bool = 
 
 
 def _module(folder: Path, partial: bool, notes: list[str]) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) s and readings (n, 13) as in ``MtFile``, at the instants of the inertial samples.
+    """Return times (n,), s, and readings (n, 13) as in ``MtFile``, at the instants of the inertial samples.
 
     The magnetometer samples by itself, more slowly: it is interpolated between its own instants.
     """
@@ -78,7 +78,7 @@ def _module(folder: Path, partial: bool, notes: list[str]) -> tuple[FloatArray, 
 
 
 def _at_same_instants(times: FloatArray, at: FloatArray, q: FloatArray) -> FloatArray:
-    """(n, 4) orientations that belong to samples, within half an interval; NaN where there is none."""
+    """Return orientations (n, 4) within half an interval of the samples; NaN where there is none."""
     nearest = np.clip(np.searchsorted(at, times), 1, max(len(at) - 1, 1))
     nearest = np.minimum(nearest, len(at) - 1)
     nearest -= np.abs(at[np.maximum(nearest - 1, 0)] - times) < np.abs(at[nearest] - times)
@@ -87,7 +87,7 @@ def _at_same_instants(times: FloatArray, at: FloatArray, q: FloatArray) -> Float
 
 
 def _table(path: Path, width: int, partial: bool, notes: list[str]) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) s and values (n, width) in SI units, by the units in the names of the columns."""
+    """Return times (n,), s, and values (n, width) in SI units, by the units in the names of the columns."""
     sheet = open_sheet(path, lambda names: names[0] in _TIMES, "'Timestamp (us)' first", is_partial=partial)
     names = sheet.names[1 : width + 1]
     if len(names) < width:
@@ -113,7 +113,7 @@ def _scale(path: Path, column: str) -> float:
 
 
 def _command(folder: Path) -> dict[str, object]:
-    """What ``Command.json`` tells; nothing if it is not there or damaged."""
+    """Return what ``Command.json`` holds; empty if it is not there or damaged."""
     try:
         entries = json.loads((folder / "Command.json").read_text(encoding="utf-8"))
         return {key: value for entry in entries for key, value in entry.items()}
@@ -122,7 +122,7 @@ def _command(folder: Path) -> dict[str, object]:
 
 
 def _label(folder: Path) -> str:
-    """The folder's name without serial number and interface, which users do set; else the module's own."""
+    """Return the folder's name without serial number and interface, as users set it; else the module's own."""
     named = _SERIAL.sub("", folder.name).strip()
     ping = _command(folder).get("ping")
     own = ping.get("name") or ping.get("deviceName") if isinstance(ping, dict) else None
@@ -130,7 +130,7 @@ def _label(folder: Path) -> str:
 
 
 def _begun_ns(folder: Path) -> int:
-    """When the logger began, by its wall clock, taken as UTC; 0: not told."""
+    """Return when the logger began, ns, its wall clock taken as UTC; 0: unknown."""
     try:
         begun = datetime.strptime(str(_command(folder).get("time")), "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
     except ValueError:

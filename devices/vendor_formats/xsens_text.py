@@ -50,7 +50,7 @@ class MtFile:
 def read_xsens_text(
     paths: Sequence[Path], rate_hz: float | None = None, *, partial: bool = False
 ) -> Recording:
-    """Modules numbered from 0 in the order of the files, on one time by their packet counters.
+    """Read modules, numbered from 0 in the order of the files, on one time by their packet counters.
 
     rate_hz: for files that do not tell theirs. partial: take the rows before a bad one. Raises
     ``FormatError``.
@@ -83,7 +83,7 @@ def add_tracks(
     modules: list[ModuleTrack],
     fused: list[FusedTrack],
 ) -> None:
-    """The tracks of rows (n, 13) as in ``MtFile``: raw readings, orientations, or both.
+    """Add the tracks of rows (n, 13) as in ``MtFile``: raw readings, orientations, or both.
 
     Raises ``FormatError`` when there is neither.
     """
@@ -97,7 +97,7 @@ def add_tracks(
 
 
 def read_mt_file(path: Path, *, partial: bool = False) -> MtFile:
-    """One module's file, its orientations turned to east-north-up. Raises ``FormatError``."""
+    """Read one module's file, its orientations turned to east-north-up. Raises ``FormatError``."""
     sheet = open_sheet(
         path,
         lambda names: any(name in names for name in COUNTERS),
@@ -129,13 +129,15 @@ def read_mt_file(path: Path, *, partial: bool = False) -> MtFile:
 
 
 def orientation_columns(sheet: Sheet) -> list[str]:
-    """The columns of the orientation, quaternion (4) or matrix (9, row by row); empty: there is none."""
+    """Return the columns of the orientation, quaternion (4) or matrix (9, row by row); empty: none."""
     return next((names for names in (*_QUATERNIONS, _MATRIX) if sheet.has(*names)), [])
 
 
 def turned(values: FloatArray, world_deg: float = NORTH_WEST_UP_DEG) -> FloatArray:
-    """(n, 4) to east-north-up from quaternions (n, 4) or matrices (n, 9) to another world; NaN for what is
-    no rotation. world_deg: turn about z that takes that world to east-north-up."""
+    """Return orientations (n, 4) to east-north-up, of quaternions (n, 4) or matrices (n, 9); NaN for no rotation.
+
+    world_deg: turn about z that takes the file's world to east-north-up.
+    """
     world = Rotation.from_euler("z", world_deg, degrees=True)
     q = np.full((len(values), 4), np.nan)
     if values.shape[1] == 9:
@@ -150,7 +152,8 @@ def turned(values: FloatArray, world_deg: float = NORTH_WEST_UP_DEG) -> FloatArr
 
 
 def _starts(first: list[np.int64]) -> list[int]:
-    """When each module began, in samples after the earliest; a counter may have wrapped in between."""
+    """Return when each module began, in samples after the earliest."""
     size = 1 << _COUNTER_BITS
+    # Counters wrap: the difference that is nearest to zero is the true one.
     after = [int((count - first[0] + size // 2) % size - size // 2) for count in first]
     return [count - min(after) for count in after]
