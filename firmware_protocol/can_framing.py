@@ -184,7 +184,7 @@ class CanFrameDecoder:
         return entries
 
     def _finish(self, stream: int, is_fd: bool, entries: list[Entry]) -> None:
-        """After a last piece: adds the wire frame, or counts why there is none."""
+        """Add the wire frame after its last piece, or count why there is none."""
         pieces = self._partial.pop(stream)
         if pieces is None:
             return

@@ -42,12 +42,12 @@ class CanFrame:
 
 
 def data_limit(is_fd: bool) -> int:
-    """Most data bytes that a CAN frame holds."""
+    """Return how many data bytes a CAN frame holds at most."""
     return FD_DATA_SIZE if is_fd else CLASSIC_DATA_SIZE
 
 
 def pack_can_records(frames: Iterable[CanFrame]) -> bytes:
-    """CAN frames as the bytes of a link's chunk.
+    """Return CAN frames as the bytes of a link's chunk.
 
     Raises ValueError when a frame has more data or a longer identifier than CAN allows.
     """

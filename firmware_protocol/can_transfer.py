@@ -137,7 +137,7 @@ class TransferSender:
         make: type[TransferPiece] = TransferToModule,
         params: TransferParams | None = None,
     ) -> None:
-        """``transfer`` counts this sender's transfers modulo 256; ``make`` says which way they go.
+        """Begin a transfer; ``transfer`` counts this sender's modulo 256, ``make`` says which way it goes.
 
         Raises ValueError as ``framing.serialize``.
         """

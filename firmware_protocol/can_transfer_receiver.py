@@ -120,7 +120,7 @@ class TransferReceiver:
         return self._go_on(module, reception, now_ns)
 
     def _go_on(self, module: int, reception: _Reception, now_ns: int) -> WireFrame | None:
-        """After a piece that was wanted: finishes, or answers at the end of a block."""
+        """Finish after a piece that was wanted, or answer at the end of a block."""
         if len(reception.data) < reception.n_pieces:
             if len(reception.data) >= reception.limit:
                 self._flow(module, reception, now_ns)

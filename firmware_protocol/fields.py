@@ -158,7 +158,7 @@ class Layout:
         return self.fields[-1] if self.fields and self.fields[-1].is_rest else None
 
     def sizes(self, mask: int = 0) -> tuple[int, int]:
-        """Least and largest size of a body with this mask, bytes."""
+        """Return the least and largest size of a body with this mask, bytes."""
         fixed = struct.calcsize(self.struct_format(mask))
         if self.rest is None:
             return fixed, fixed

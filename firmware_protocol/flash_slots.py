@@ -53,7 +53,7 @@ class Flash(Protocol):
     """Memory that is erased by slots, to all ones, and in which programming only clears bits."""
 
     def read(self, address: int, n: int) -> bytes:
-        """``n`` bytes from ``address``."""
+        """Return ``n`` bytes from ``address``."""
         ...
 
     def erase(self, slot: int) -> None:

@@ -37,7 +37,7 @@ def defect_vectors() -> dict[str, Any]:
 
 
 def _damaged_byte_streams() -> dict[str, bytes]:
-    """Each ends with a good wire frame, which is to come through."""
+    """Return damaged streams by name; each ends with a good wire frame, which is to come through."""
     sent = encode_frame(GOOD)
     batch = relay_batch([GOOD, GOOD], 1, 1_250_100)
     damaged = {
@@ -60,7 +60,7 @@ def _damaged_byte_streams() -> dict[str, bytes]:
 
 
 def _damaged_can_traffic() -> dict[str, list[CanFrame]]:
-    """Each ends with a good wire frame, which is to come through."""
+    """Return damaged traffic by name; each ends with a good wire frame, which is to come through."""
     first, second, third = pieces = fragment(GOOD)
     short_identifier = CanFrame(0x123, b"\x01", is_extended=False)
     remote = dataclasses.replace(first, data=b"", is_remote=True)

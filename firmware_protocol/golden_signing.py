@@ -70,7 +70,7 @@ def _from_host() -> dict[str, bytes]:
 
 
 def _signed(frame: bytes, ahead: int) -> bytes:
-    """By the module, so many counts ahead of what the receiver begins at."""
+    """Return a frame signed by the module, ``ahead`` counts above what the receiver begins at."""
     return SignedFrames(KEY, _MODULE, _COUNT + ahead - 1).sign(frame)
 
 

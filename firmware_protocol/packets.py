@@ -121,7 +121,8 @@ class WireFrameDecoder(Protocol):
     dropped: Counter[Defect]
     accepted: int
 
-    def entries(self, chunk: bytes) -> list[Entry]: ...
+    def entries(self, chunk: bytes) -> list[Entry]:
+        """Return what a chunk completes, in order: headers and bodies, checked."""
 
 
 def encode_packet(packet: Packet) -> bytes:

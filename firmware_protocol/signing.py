@@ -60,12 +60,13 @@ class SignedFrames:
     """
 
     def __init__(self, key: bytes, signer: int = HOST_SIGNER, count: int = 0) -> None:
-        """
+        """Hold one end's key and counts.
+
         signer: who this end is; ``HOST_SIGNER`` accepts all others, others accept it alone.
         count: what comes must be above it, and what is sent goes on from it. The host gives the time; a
         module the newest count that it has stored.
 
-        Raises ValueError for a key of another size than 32 bytes.
+        Raises ``ValueError`` for a key of another size than 32 bytes.
         """
         if len(key) != KEY_SIZE:
             raise ValueError(f"a key has {KEY_SIZE} bytes, not {len(key)}")
@@ -87,7 +88,7 @@ class SignedFrames:
         self._signature: bytes | None = None  # of the wire frame that comes next
 
     def sign(self, data: bytes) -> bytes:
-        """Whole wire frames as sent, each with its signature before it.
+        """Return whole wire frames as sent, each with its signature before it.
 
         Raises OverflowError after 2^48 of them: the key has been used up.
         """

@@ -38,7 +38,7 @@ def get_lines(declared: WireField, target: str) -> list[str]:
 
 
 def refusals(declared: WireField, element: str) -> list[str]:
-    """Conditions, any of which makes an element no value of the field."""
+    """Return conditions, any of which makes an element no value of the field."""
     if declared.code == "f":
         limits = [f"{element} < {declared.minimum!r}f"] if declared.minimum is not None else []
         limits += [f"{element} > {declared.maximum!r}f"] if declared.maximum is not None else []

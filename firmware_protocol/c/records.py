@@ -58,7 +58,7 @@ def members(declared: WireField) -> tuple[str, ...]:
 
 
 def member_comment(declared: WireField) -> str:
-    """Unit, step, meaning and limits of a field in words."""
+    """Return unit, step, meaning and limits of a field in words."""
     parts = [declared.sentence]
     if declared.scale is not None:
         parts.append(f"One step is {declared.scale:.9g} {declared.unit}.")

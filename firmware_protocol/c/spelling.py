@@ -52,7 +52,7 @@ def ascii_text(text: str) -> str:
 
 
 def snake(name: str) -> str:
-    """``InertialSample`` as ``inertial_sample``; ``READ_SETTING`` as ``read_setting``."""
+    """Return ``inertial_sample`` for ``InertialSample``; ``read_setting`` for ``READ_SETTING``."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
