@@ -19,7 +19,7 @@ _PER_ROW = 5
 
 
 def bench_motion(n: int, seed: int) -> BodyMotion:
-    """Modules ``module_1`` to ``module_n`` that lie still, in rows, facing up or down, turned anyhow."""
+    """Return modules ``module_1`` to ``module_n`` that lie still, in rows, facing up or down, at random."""
     rng = np.random.default_rng([seed, 7])
     headings = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi, (n, 1)))
     flips = Rotation.from_euler("x", np.pi * rng.integers(2, size=(n, 1)))
@@ -44,7 +44,7 @@ def bench_suit(
     settings: SuitSettings | None = None,
     imperfections: Imperfections = TYPICAL,
 ) -> SuitTraffic:
-    """n modules (1 to 63) on a table.
+    """Return n modules (1 to 63) on a table.
 
     is_fresh: they come from the factory and all send under id 0; otherwise they send under 1 to n.
     Raises ``ValueError`` for another n.

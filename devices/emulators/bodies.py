@@ -67,7 +67,7 @@ class EmulatedBody:
         return len(self.segment_names)
 
     def path(self, segment: int) -> list[int]:
-        """Indices of the segments from the root to this one, both included."""
+        """Return the indices of the segments from the root to this one, both included."""
         path = [segment]
         while (parent := int(self.parents[path[0]])) != NO_PARENT:
             path.insert(0, parent)
@@ -86,7 +86,7 @@ def emulated_body(
     local_devices: tuple[EmulatedLocalDevice, ...] = (),
     contacts: tuple[tuple[int, FloatArray], ...] = (),
 ) -> EmulatedBody:
-    """A checked ``EmulatedBody``.
+    """Return a checked ``EmulatedBody``.
 
     Left out: modules sit on the joints, sensor axes are the segment's, modules are numbered as the
     segments are, and the reference posture is the identity. Raises ``ValueError`` where shapes or the

@@ -39,7 +39,7 @@ class WearerFaults:
 def calibration_motion(
     body: EmulatedBody, seed: int, heading: float = 0.0, faults: WearerFaults | None = None
 ) -> BodyMotion:
-    """The whole script, facing ``heading`` (rad, anticlockwise from east)."""
+    """Return the whole script, facing ``heading`` (rad, anticlockwise from east)."""
     faults = faults or WearerFaults()
     rng = np.random.default_rng([seed, 11])
     rows = {name: n for n, name in enumerate(body.segment_names)}
@@ -60,7 +60,7 @@ def calibration_motion(
 
 
 def strapped_on(body: EmulatedBody, seed: int, displacement: float = 0.02) -> EmulatedBody:
-    """Modules turned at random, each off its place by so much (m) in a random direction."""
+    """Return a body with modules turned at random, each displaced by so much (m) in a random direction."""
     rng = np.random.default_rng([seed, 12])
     turned = Rotation.random(body.n_segments, random_state=rng).as_quat(scalar_first=True)
     away = rng.normal(size=(body.n_segments, 3))
@@ -111,7 +111,7 @@ def _poses(
     rng: np.random.Generator,
     faults: WearerFaults,
 ) -> list[Term]:
-    """Both poses, each a little wrong in its own way; the arms spread; one segment that will not be still."""
+    """Return both poses, each a little wrong, the arms spread, and one segment that will not be still."""
     terms = []
     for pose in ("n_pose", "t_pose"):
         begin, end = times[pose]
@@ -135,7 +135,7 @@ def _poses(
 
 
 def _squat(rows: dict[str, int], span: tuple[float, float], faults: WearerFaults) -> list[Term]:
-    """Two squats; the trunk leans forward, the feet stay."""
+    """Return two squats; the trunk leans forward, the feet stay."""
     begin, end = span
     knee, lean = _KNEE_BEND * faults.effort, radians(35.0) * faults.effort
     terms = pulses(0, 2, -lean, begin + 0.3, end - 0.3, 2)
@@ -148,7 +148,7 @@ def _squat(rows: dict[str, int], span: tuple[float, float], faults: WearerFaults
 
 
 def _legs(rows: dict[str, int], times: dict[str, tuple[float, float]], faults: WearerFaults) -> list[Term]:
-    """Each leg: forward stretched, the knee up, and both again."""
+    """Return the movements of each leg: forward stretched, the knee up, and both again."""
     terms = []
     for side in ("left", "right"):
         begin, end = times[f"{side}_leg"]
@@ -165,7 +165,7 @@ def _legs(rows: dict[str, int], times: dict[str, tuple[float, float]], faults: W
 
 
 def _arms(rows: dict[str, int], span: tuple[float, float], faults: WearerFaults) -> list[Term]:
-    """Both stretched arms forward and up, twice."""
+    """Return both stretched arms going forward and up, twice."""
     begin, end = span
     terms = []
     for side in ("left", "right"):
@@ -192,7 +192,7 @@ _FREE: dict[str, tuple[float, float, float]] = {
 def _free(
     rows: dict[str, int], span: tuple[float, float], rng: np.random.Generator, effort: float
 ) -> list[Term]:
-    """All joints about all their axes."""
+    """Return all joints moving about all their axes."""
     begin, end = span
     terms = []
     for name, row in rows.items():
@@ -211,7 +211,7 @@ def _wobble(
     rng: np.random.Generator,
     amount: float,
 ) -> list[Term]:
-    """Beside the movement asked for, another one that differs between the repetitions."""
+    """Return, beside the movement asked for, another one that differs between its repetitions."""
     terms: list[Term] = []
     if amount == 0.0:
         return terms

@@ -39,18 +39,21 @@ class CommandedDevice(Protocol):
     fixed_settings: frozenset[int]
     """Keys of settings that this kind of device does not let be changed."""
 
-    def start(self) -> None: ...
+    def start(self) -> None:
+        """Begin to sample."""
 
-    def stop(self) -> None: ...
+    def stop(self) -> None:
+        """Sample no more."""
 
-    def blink(self, seconds: int) -> None: ...
+    def blink(self, seconds: int) -> None:
+        """Blink for so many seconds."""
 
     def introduction(self) -> tuple[Packet, ...]:
-        """Who it is and how it fares."""
+        """Return the packets that say who the device is and how it fares."""
         ...
 
     def act_by_settings(self) -> None:
-        """The active settings have changed."""
+        """Act by the active settings, which have changed."""
         ...
 
 
@@ -65,17 +68,21 @@ class IdleDevice:
         self.unique_id = unique_id
         self.settings = StoredSettings(EmulatedFlash())
 
-    def start(self) -> None: ...
+    def start(self) -> None:
+        """Begin to sample."""
 
-    def stop(self) -> None: ...
+    def stop(self) -> None:
+        """Sample no more."""
 
-    def blink(self, seconds: int) -> None: ...
+    def blink(self, seconds: int) -> None:
+        """Blink for so many seconds."""
 
     def introduction(self) -> tuple[Packet, ...]:
         """Return nothing: nobody waits for it."""
         return ()
 
-    def act_by_settings(self) -> None: ...
+    def act_by_settings(self) -> None:
+        """Act by the active settings, which have changed."""
 
 
 class Outcome(NamedTuple):

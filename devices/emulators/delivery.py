@@ -55,13 +55,13 @@ class Encoding(NamedTuple):
     """CAN FD instead of classic CAN."""
 
     def encode(self, frame: WireFrame) -> bytes:
-        """Raises ``ValueError`` for a body too long for the link."""
+        """Return a frame as bytes of the link. Raises ``ValueError`` for a body too long for it."""
         if self.framing is Framing.CAN:
             return pack_can_records(fragment(frame, fd=self.is_fd))
         return encode_frame(frame)
 
     def corrupt(self, data: bytes, rng: Generator) -> bytes:
-        """One byte changed: anywhere before the delimiter, or in the data of one CAN frame."""
+        """Change one byte: anywhere before the delimiter, or in the data of one CAN frame."""
         if self.framing is Framing.CAN:
             frames = unpack_can_records(data)
             length = len(pack_can_records(frames[:1]))
@@ -79,7 +79,7 @@ class PacketFaults:
         self._counts = counts
 
     def apply(self, sent: list[Timed]) -> list[Timed]:
-        """What is left of the packets, in order."""
+        """Return what is left of the packets, in order."""
         self._counts["sent"] += len(sent)
         if not sent or not (self._loss or self._duplication):
             return sent

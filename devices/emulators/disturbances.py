@@ -55,6 +55,9 @@ class Tap:
         return self.start_s + _TAP_LASTS * self.decay_s
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what the tap adds at times (n,), s: specific force, m/s², and angular rate, rad/s, (n, 3)
+        each.
+        """
         t = times - self.start_s
         is_on = (times >= self.start_s) & (times < self.end_s)
         ringing = np.where(is_on, np.exp(-np.maximum(t, 0.0) / self.decay_s), 0.0)
@@ -80,9 +83,13 @@ class Shake:
         return self.start_s + self.duration_s
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what the shake adds at times (n,), s: specific force, m/s², and angular rate, rad/s, (n, 3)
+        each.
+        """
         t = times - self.start_s
         is_on = (times >= self.start_s) & (times < self.end_s)
         envelope = np.where(is_on, np.sin(np.pi * t / self.duration_s) ** 2, 0.0)
+        # A whole number of swings: the module ends where it began, at rest.
         swings = max(1, round(self.frequency_hz * self.duration_s))
         phase = 2 * np.pi * swings * t / self.duration_s
         force = self.specific_force * (envelope * np.cos(phase))[:, None] * _SHAKE_DIRECTION
@@ -90,7 +97,7 @@ class Shake:
 
 
 def felt(disturbances: Sequence[Disturbance], times: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """What all of them add at true times (n,) in order, n > 0; None when none of them lasts then."""
+    """Return what all of them add at true times (n,) in order, n > 0; None when none of them lasts then."""
     now = [one for one in disturbances if one.start_s <= times[-1] and times[0] < one.end_s]
     if not now:
         return None

@@ -78,7 +78,7 @@ class EmulatedCard:
         return True
 
     def entries(self) -> list[CardEntry]:
-        """All files in order of their numbers; the open one as far as it goes."""
+        """Return all files in order of their numbers; the open one as far as it goes."""
         return [
             CardEntry(number, len(file.content), file.start_time_us, file.crc32)
             for number, file in self._files.items()
@@ -88,7 +88,10 @@ class EmulatedCard:
         return file in self._files
 
     def read(self, file: int, offset: int, length: int) -> bytes | None:
-        """So many bytes, fewer at the end; None for an offset beyond it. Raises ``KeyError`` for no file."""
+        """Return so many bytes, fewer at the end; None beyond it.
+
+        Raises ``KeyError`` for a file that is not there.
+        """
         content = self._files[file].content
         return bytes(content[offset : offset + length]) if offset <= len(content) else None
 

@@ -115,11 +115,11 @@ class EmulatedDevice:
         return self.sender.module
 
     def is_blinking(self, at_s: float) -> bool:
-        """Whether its light blinks at a true time not before the last ``advance``, s."""
+        """Return whether its light blinks at a true time not before the last ``advance``, s."""
         return self.is_on and at_s < self._blinks_until_s
 
     def hear(self, at_s: float, received: ReceivedPacket) -> None:
-        """A packet from the host reaches the device at a true time, s.
+        """Let a packet from the host reach the device at a true time, s.
 
         When that time has passed already, it is obeyed late, but clocks are told, and samples triggered,
         as of then.
@@ -131,7 +131,7 @@ class EmulatedDevice:
         self._timeline.add(max(at_s, self._now_s), act, FROM_OUTSIDE)
 
     def lose_power(self, off_s: float = OFF_S) -> None:
-        """Off now, and on again after ``off_s``: the clock begins anew, the settings are the flash's."""
+        """Switch off now, and on after ``off_s``: the clock begins anew, the settings are the flash's."""
         if self.is_on:
             self.is_on = False
             back_s = self._now_s + off_s
@@ -145,9 +145,10 @@ class EmulatedDevice:
             self._send(Event(event, value))
 
     def advance(self, to_s: float) -> tuple[list[Timed], list[Sampling]]:
-        """What it sends, and what it samples, from the last call's time until ``to_s``, true time, s."""
+        """Return what it sends and what it samples from the last call's time until ``to_s``, true time, s."""
         while (happening := self._timeline.next_before(to_s)) is not None:
             self._pass_time(happening.at_s)
+            # What was planned before a loss of power must not happen after it: the device has forgotten it.
             if happening.boot == FROM_OUTSIDE or (self.is_on and happening.boot == self.boots):
                 try:
                     happening.act()
@@ -187,11 +188,11 @@ class EmulatedDevice:
         self.act_by_settings()
 
     def introduction(self) -> tuple[Packet, ...]:
-        """Who it is and how it fares."""
+        """Return the packets that say who the device is and how it fares."""
         return self._reports.info, self._reports.health(self._elapsed)
 
     def act_by_settings(self) -> None:
-        """The settings have changed: take on the id, the rate, the mode and all else."""
+        """Take on the id, the rate, the mode and all else of the settings, which have changed."""
         before, self._sample_settings = self._sample_settings, SampleSettings.of(self.settings)
         self.sender = Sender(self._stored_id(), self.sender.clock, self.sender.sequences)
         self._reports.sender, self._reports.info = self.sender, self._info()
@@ -237,7 +238,7 @@ class EmulatedDevice:
         self._now_s = to_s
 
     def _work_until(self, to_s: float) -> None:
-        """What it does on its own until a true time."""
+        """Do what it does on its own until a true time, s."""
         self._frames += self._reports.until(to_s)
         if len(instants := self._timer.until(to_s)):
             self._sample(instants)
@@ -313,7 +314,7 @@ class EmulatedDevice:
             self._sample(np.array([self.sender.clock.elapsed(came_s)]), Trigger(number, self._now_s))
 
     def _turn_s(self, is_for_all: bool) -> float:
-        """How long to wait so that the answers of all devices do not collide, s."""
+        """Return how long to wait so that the answers of all devices do not collide, s."""
         return self.module_id * BROADCAST_ANSWER_DELAY_US * 1e-6 if is_for_all else 0.0
 
     def _send(self, packet: Packet, delay_s: float = 0.0) -> None:

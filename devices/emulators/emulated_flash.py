@@ -44,7 +44,7 @@ class EmulatedFlash:
         self._power_ends = None if steps is None else self.steps + steps
 
     def read(self, address: int, n: int) -> bytes:
-        """The bytes at an address. Raises ``ValueError`` outside the memory."""
+        """Return the bytes at an address. Raises ``ValueError`` outside the memory."""
         self._check(address, n)
         return self._cells[address : address + n].tobytes()
 
@@ -78,7 +78,7 @@ class EmulatedFlash:
             self._lose_power()
 
     def _steps_left(self, wanted: int) -> int:
-        """How many of the wanted steps have power to their end."""
+        """Return how many of the wanted steps have power to their end."""
         return wanted if self._power_ends is None else min(wanted, self._power_ends - self.steps)
 
     def _lose_power(self) -> None:

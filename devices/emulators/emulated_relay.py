@@ -48,7 +48,7 @@ class EmulatedRelay:
 
 
 def _parts(frames: list[WireFrame]) -> list[list[WireFrame]]:
-    """Frames in runs that fit one batch each."""
+    """Return the frames in runs that fit one batch each."""
     parts: list[list[WireFrame]] = []
     room = 0
     for frame in frames:

@@ -37,11 +37,14 @@ _FAST_CHUNK_SIZE = 4096
 class Conversation(Protocol):
     """A suit that obeys what the host sends, as ``SuitTraffic`` does. Times are motion time, s."""
 
-    def receive(self, data: bytes, at_s: float, device: int | None = None) -> None: ...
+    def receive(self, data: bytes, at_s: float, device: int | None = None) -> None:
+        """Take bytes that the host sent, at a motion time, s; ``device`` None: they come to all."""
 
-    def advance(self, to_s: float) -> list[Transmission]: ...
+    def advance(self, to_s: float) -> list[Transmission]:
+        """Return what is sent until a motion time, s."""
 
-    def rest(self) -> list[Transmission]: ...
+    def rest(self) -> list[Transmission]:
+        """Return what is still under way."""
 
 
 @dataclass
@@ -74,10 +77,11 @@ class EmulatedSuit:
         linger_s: float = 0.2,
         duration_s: float | None = None,
     ) -> None:
-        """
-        source: a suit that obeys the host, computed a few milliseconds ahead so that it answers
-            promptly; or transmissions in order of time, prepared far ahead. Both in a thread. Pass a
-            list to have all of them computed beforehand, which keeps the computation out of the timing.
+        """Prepare to run.
+
+        source: a suit that obeys the host, computed a few milliseconds ahead so that it answers promptly; or
+        transmissions in order of time, prepared far ahead. Both in a thread. Pass a list to have all of them
+        computed beforehand, which keeps the computation out of the timing.
         speed: motion seconds in a second; None: as fast as the reader takes it, without drops.
         is_byte_by_byte: every byte in a write of its own (byte streams only).
         start_ns: gateway time of motion time 0; default: when ``run`` begins to send.
@@ -192,7 +196,7 @@ class EmulatedSuit:
             upcoming.cancel()
 
     def _prepare(self) -> list[Transmission]:
-        """The next stretch of transmissions; empty at the end."""
+        """Return the next stretch of transmissions; empty at the end."""
         batch: list[Transmission] = []
         for transmission in self._source:
             batch.append(transmission)

@@ -64,7 +64,7 @@ class Lap:
         return [(self.lead_s, self.lead_s + lasts), (second, second + lasts)]
 
     def period(self, speed: float) -> float:
-        """Until all begins anew."""
+        """Return the time until all begins anew, s."""
         return self.walks(speed)[1][1] + self.pause_s[1]
 
 
@@ -77,14 +77,14 @@ class Course:
     """m/s."""
 
     def amount(self, times: FloatArray) -> FloatArray:
-        """How much of the full speed, 0 to 1."""
+        """Return how much of the full speed there is, 0 to 1."""
         return sum(
             (window(times, begin, end, RAMP_S) for begin, end in self.lap.walks(self.speed)),
             np.zeros_like(times),
         )
 
     def travelled(self, times: FloatArray) -> FloatArray:
-        """m since the lap's begin."""
+        """Return the way since the lap's begin, m."""
         way = np.zeros_like(times)
         for begin, end in self.lap.walks(self.speed):
             way = way + self.speed * (_way(times, begin) - _way(times, end - RAMP_S))
@@ -121,7 +121,7 @@ class Course:
 
 
 def window(times: FloatArray, begin: float, end: float, ramp: float) -> FloatArray:
-    """0 before begin and after end, 1 between; three times continuously differentiable."""
+    """Return 0 before begin and after end, 1 between; three times continuously differentiable."""
     return Fade(begin, ramp).evaluate(times).value - Fade(end - ramp, ramp).evaluate(times).value
 
 
@@ -137,7 +137,7 @@ def _eased_way(u: FloatArray, ramp: float) -> FloatArray:
 
 
 def _eased(s: FloatArray, at: float, ramp: float) -> FloatArray:
-    """How far beyond ``at``, m, with a smooth bend of that length about it."""
+    """Return how far beyond ``at``, m, with a smooth bend of length ``ramp`` about it."""
     return _eased_way((s - at) / ramp + 0.5, ramp)
 
 
@@ -164,7 +164,7 @@ class Plan:
 
 
 def steps_of(leg: Leg, sign: float, walk: tuple[float, float], course: Course, stride: Stride) -> Steps:
-    """Stances of a foot; sign: +1 right, −1 left."""
+    """Return the stances of a foot; ``sign`` is +1 for the right, −1 for the left."""
     begin, end = walk
     first = begin + (FIRST_STRIKE + (0.0 if sign > 0 else 0.5)) / STRIDE_HZ
     count = int(np.ceil((end - first) * STRIDE_HZ)) + 2
@@ -172,6 +172,7 @@ def steps_of(leg: Leg, sign: float, walk: tuple[float, float], course: Course, s
     middle = strikes + stride.carries_at / STRIDE_HZ
     middle[0] = begin
     s, (start, finish) = course.travelled(middle), course.travelled(np.array(walk))
+    # A step much shorter than the others looks like stumbling: the feet close where the walk begins and ends.
     s = np.where(finish - s < AS_IT_STANDS_M, finish, np.where(s - start < 0.5 * AS_IT_STANDS_M, start, s))
     stands = (s == start) | (s == finish)
     amount = np.where(stands, 0.0, course.amount(middle))
@@ -214,7 +215,7 @@ def foot_at(
 
 
 def _swing(leg: Leg, steps: Steps, k: int, stride: Stride, phase: FloatArray) -> FloatArray:
-    """The ankle between toe-off of stance k and the heel strike after it."""
+    """Return the ankle between toe-off of stance k and the heel strike after it."""
     size, after = float(steps.size[k]), min(k + 1, len(steps.strikes) - 1)
     ends = []
     for where, pivot, curve in ((k, leg.toe, stride.push), (after, leg.heel, (*stride.strike, 0.0))):
@@ -233,13 +234,15 @@ def _swing(leg: Leg, steps: Steps, k: int, stride: Stride, phase: FloatArray) ->
 
 
 def _turned(angle: FloatArray, place: FloatArray) -> FloatArray:
-    """(T, 2): a place (forward, up) turned by the pitch."""
+    """Return a place (forward, up) turned by the pitch, (T, 2)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([c * place[0] - s * place[1], s * place[0] + c * place[1]], axis=1)
 
 
 def _pivoted(pivot: FloatArray, curve: list[float]) -> list[FloatArray]:
-    """The ankle against a flat foot's, (forward, up), with two derivatives by phase, about a still point."""
+    """Return the ankle against a flat foot's, (forward, up), with two derivatives by phase, about a still
+    point.
+    """
     angle, rate, change = curve
     turned = _turned(np.array([angle]), pivot)[0]
     across = np.array([-turned[1], turned[0]])
@@ -247,14 +250,14 @@ def _pivoted(pivot: FloatArray, curve: list[float]) -> list[FloatArray]:
 
 
 def _ahead(heading: FloatArray, place: FloatArray) -> FloatArray:
-    """(T, 2) forward and up of a foot as (T, 3) of the plan."""
+    """Return (T, 2) forward and up of a foot as (T, 3) of the plan."""
     return np.stack([place[:, 0] * np.cos(heading), place[:, 1], -place[:, 0] * np.sin(heading)], axis=1)
 
 
 def plan_of(
     body: EmulatedBody, lap: Lap, stride: Stride, times: FloatArray, rng: np.random.Generator
 ) -> Plan:
-    """What all parts of the body do at times (T,), s from the lap's begin."""
+    """Return what all parts of the body do at times (T,), s from the lap's begin."""
     course = Course(lap, stride.length * STRIDE_HZ)
     s, amount = course.travelled(times), course.amount(times)
     phase = _phase(times, course)
@@ -294,7 +297,7 @@ def plan_of(
 
 
 def _phase(times: FloatArray, course: Course) -> FloatArray:
-    """Of the right foot's stride; each walk counts from its own first step."""
+    """Return the phase of the right foot's stride; each walk counts from its own first step."""
     walks = course.lap.walks(course.speed)
     between = 0.5 * (walks[0][1] + walks[1][0])
     begin = np.where(times < between, walks[0][0], walks[1][0])
@@ -304,7 +307,7 @@ def _phase(times: FloatArray, course: Course) -> FloatArray:
 def _feet(
     leg: Leg, sign: float, course: Course, stride: Stride, times: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A foot through both walks."""
+    """Return a foot through both walks."""
     walks = course.lap.walks(course.speed)
     between = 0.5 * (walks[0][1] + walks[1][0])
     both = [foot_at(leg, steps_of(leg, sign, walk, course, stride), stride, times) for walk in walks]
@@ -320,7 +323,10 @@ def _giving_way(
     R_pelvis: Rotation,
     amount: FloatArray,
 ) -> FloatArray:
-    """How much lower the pelvis has to be for legs that else were too short, m: smooth, and early enough."""
+    """Return how much lower the pelvis has to be for legs that else were too short, m.
+
+    It changes smoothly, and early enough.
+    """
     needed = np.zeros(len(pelvis))
     for side, leg in legs.items():
         reach = feet[side][0] - pelvis - R_pelvis.apply(leg.hip)
@@ -329,6 +335,7 @@ def _giving_way(
         needed = np.maximum(needed, -reach[:, 1] - np.sqrt(np.maximum(longest**2 - across**2, 0.0)))
     needed = np.where(needed > 1e-9, needed, 0.0)
     near = round(4.0 * GIVING_WAY_S * GRID_HZ)
+    # The largest need nearby, smoothed: an average alone would be too little at the peaks.
     padded = np.pad(needed, near, mode="edge")
     widest = np.lib.stride_tricks.sliding_window_view(padded, 2 * near + 1).max(axis=1)
     smooth: FloatArray = gaussian_filter1d(widest, GIVING_WAY_S * GRID_HZ, truncate=4.0, mode="nearest")
@@ -336,7 +343,7 @@ def _giving_way(
 
 
 def _activities(lap: Lap, course: Course, times: FloatArray) -> dict[str, FloatArray]:
-    """Amounts, 0 to 1, of what is done while standing."""
+    """Return the amounts, 0 to 1, of what is done while standing."""
     (_, first), (_, second) = lap.walks(course.speed)
     t, u = first + 0.3, second
     return {
@@ -412,7 +419,8 @@ class SplineRows:
     def __init__(
         self, coefficients: FloatArray, begin_s: float, step_s: float, nodes: IntArray | None = None
     ):
-        """coefficients: (6, K, N, 3) of powers from each of K knots on, highest first.
+        """Hold coefficients (6, K, N, 3) of powers from each of K knots on, highest first.
+
         begin_s: until then the first values hold. nodes: the rows meant, in that order; default: all.
         """
         self._coefficients, self._begin_s, self._step_s = coefficients, begin_s, step_s
@@ -420,7 +428,7 @@ class SplineRows:
 
     @classmethod
     def through(cls, times: FloatArray, values: FloatArray, begin_s: float, period_s: float) -> SplineRows:
-        """values: (T, N, 3) at even times (T,), s from the lap's begin, with a margin at both ends."""
+        """Return splines through values (T, N, 3) at even times (T,), s from the lap's begin; with margins"""
         spline = make_interp_spline(times, values.reshape(len(times), -1), k=_DEGREE)
         knots = times[(times > -1e-9) & (times < period_s - 1e-9)]
         powers = [spline.derivative(m)(knots) / factorial(m) for m in range(_DEGREE, 0, -1)]
@@ -429,18 +437,18 @@ class SplineRows:
         return cls(coefficients.reshape(_DEGREE + 1, len(knots), *values.shape[1:]), begin_s, step_s)
 
     def with_idle_row(self) -> SplineRows:
-        """One node more, which never turns."""
+        """Return one node more, which never turns."""
         idle = np.zeros((*self._coefficients.shape[:2], 1, 3))
         coefficients = np.concatenate([self._coefficients, idle], axis=2)
         nodes = np.append(self._nodes, self._coefficients.shape[2])
         return SplineRows(coefficients, self._begin_s, self._step_s, nodes)
 
     def rows(self, rows: IntArray) -> SplineRows:
-        """Some rows only, in that order; coefficients stay where they are."""
+        """Return some rows only, in that order; coefficients stay where they are."""
         return SplineRows(self._coefficients, self._begin_s, self._step_s, self._nodes[rows])
 
     def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
-        """The three components at ``times`` (T, N), each (T, N), with their derivatives."""
+        """Return the three components at ``times`` (T, N), each (T, N), with their derivatives."""
         at = np.maximum(times.astype(np.float64) - self._begin_s, 0.0)
         n_knots = self._coefficients.shape[1]
         at = np.mod(at, n_knots * self._step_s)

@@ -49,7 +49,7 @@ class Fault(_Strict):
         return self
 
     def starts(self, from_s: float, to_s: float) -> Iterator[float]:
-        """When it begins, within [from_s, to_s)."""
+        """Yield when it begins, s, within [from_s, to_s)."""
         if self.every is None:
             if from_s <= self.at < to_s:
                 yield self.at
@@ -60,7 +60,7 @@ class Fault(_Strict):
             count += 1
 
     def is_on(self, at_s: float) -> bool:
-        """Whether it lasts at a time, s."""
+        """Return whether it lasts at a time, s."""
         since = at_s - self.at
         if self.every is not None and since >= 0:
             since %= self.every
@@ -165,7 +165,7 @@ class Magnet(Fault):
     field: float = Field(default=60.0, gt=0, le=5000, description="largest on the way, µT")
 
     def at_module(self, at_s: float) -> tuple[float, float, float]:
-        """What it adds to the field that the module feels, sensor axes, µT."""
+        """Return what it adds to the field that the module feels, sensor axes, µT."""
         passed = (at_s - self.at) % (self.every or math.inf) / self.lasts
         strength, turn = self.field * math.sin(math.pi * passed) ** 2, math.pi * passed
         return strength * math.cos(turn), strength * math.sin(turn), 0.3 * strength
@@ -220,5 +220,5 @@ class FaultPlan(_Strict):
     faults: tuple[AnyFault, ...] = ()
 
     def windows(self, *kinds: type[Fault]) -> list[Fault]:
-        """The faults of some kinds."""
+        """Return the faults of some kinds."""
         return [fault for fault in self.faults if isinstance(fault, kinds)]

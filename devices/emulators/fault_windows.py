@@ -21,7 +21,7 @@ class FaultWindows(Generic[AnyOf]):
     """Faults by time. Instants may be asked for in any order."""
 
     def __init__(self, faults: Iterable[AnyOf], after_s: float = 0.0) -> None:
-        """after_s: faults are near for so long after their end, too."""
+        """Index the faults; they are ``near`` until ``after_s`` after their end."""
         every = list(faults)
         self._edges: list[float] = [-float("inf")]
         self._near: list[tuple[int, ...]] = [()]
@@ -33,11 +33,11 @@ class FaultWindows(Generic[AnyOf]):
         self._walk()
 
     def on(self, at_s: float) -> list[AnyOf]:
-        """Those that last at a time, s, in the order in which they were given."""
+        """Return those that last at a time, s, in the order in which they were given."""
         return [fault for fault in self._candidates(at_s) if fault.is_on(at_s)]
 
     def starting(self, from_s: float, to_s: float) -> Iterator[tuple[float, AnyOf]]:
-        """When a fault begins, s, and which: all within [from_s, to_s), in the order they were given."""
+        """Yield when a fault begins, s, and which: all within [from_s, to_s), in the order given."""
         first, end = (bisect_left(self._starts, (edge_s, -1)) for edge_s in (from_s, to_s))
         places = sorted((*(place for _, place in self._starts[first:end]), *self._recurring))
         for place in places:
@@ -46,7 +46,7 @@ class FaultWindows(Generic[AnyOf]):
                 yield start_s, fault
 
     def near(self, at_s: float) -> bool:
-        """Whether any is on, or ended not longer ago than ``after_s``."""
+        """Return whether any is on, or ended not longer ago than ``after_s``."""
         return any(_since(fault, at_s) <= fault.lasts + self._after_s for fault in self._candidates(at_s))
 
     def _candidates(self, at_s: float) -> Iterable[AnyOf]:
@@ -56,7 +56,7 @@ class FaultWindows(Generic[AnyOf]):
         return (self._faults[place] for place in places)
 
     def _walk(self) -> None:
-        """From edge to edge, those begun and not yet over."""
+        """List, from edge to edge, those begun and not yet over."""
         changes: list[tuple[float, int]] = []
         for place, fault in enumerate(self._faults):
             if fault.every is None:

@@ -28,7 +28,10 @@ class FaultySuit:
     """A ``Conversation``: the traffic of a suit, as its faults leave it."""
 
     def __init__(self, traffic: SuitTraffic, plan: FaultPlan) -> None:
-        """Raises ``KeyError``, naming what there is, for a module that the suit does not have."""
+        """Join suit and faults.
+
+        Raises ``KeyError``, naming what there is, for a module that the suit lacks.
+        """
         self.traffic = traffic
         self.plan = plan
         self.link = LinkFaults(plan, traffic.framing)
@@ -56,19 +59,19 @@ class FaultySuit:
         return self._now_s
 
     def receive(self, data: bytes, at_s: float, device: int | None = None) -> None:
-        """As ``SuitTraffic.receive``."""
+        """Take bytes as ``SuitTraffic.receive`` does, unless a fault keeps the suit from hearing."""
         if not self._deafening.on(at_s):
             self.traffic.receive(data, at_s, device)
 
     def advance(self, to_s: float) -> list[Transmission]:
-        """As ``SuitTraffic.advance``."""
+        """Begin the faults that are due, and return what arrives until ``to_s``, s."""
         for start_s, fault in self._module_faults.starting(self._now_s, to_s):
             self._begin(fault, start_s)
         self._now_s = to_s
         return self.link.pass_on(self.traffic.advance(to_s), to_s)
 
     def rest(self) -> list[Transmission]:
-        """As ``SuitTraffic.rest``."""
+        """Return what is still under way, as ``SuitTraffic.rest`` does."""
         return self.link.rest(self.traffic.rest())
 
     def _begin(self, fault: Reset | ClockJump | IdConflict, at_s: float) -> None:

@@ -57,7 +57,7 @@ def foot_path(foot: Foot, times: FloatArray) -> tuple[FloatArray, FloatArray, Fl
 
 
 def _stride(foot: Foot, stance: int, phase: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """One stance and the swing after it, at parts of the stride from heel strike on."""
+    """Return ankle, heading and pitch in one stance and the swing after it, by phase from heel strike on."""
     gait = foot.gait
     pitch = _pitch(gait)
     here, yaw = foot.place(stance)
@@ -86,7 +86,7 @@ def _stride(foot: Foot, stance: int, phase: FloatArray) -> tuple[FloatArray, Flo
 
 
 def _pitch(gait: Gait) -> BPoly:
-    """rad, over the phase."""
+    """Return the pitch over the phase, rad."""
     down = -1.5 * gait.strike_pitch / gait.flat_from
     push = -1.2 * gait.push_pitch / (gait.toe_off - gait.flat_to)
     knots = [0.0, gait.flat_from, gait.flat_to, gait.toe_off, 1.0]
@@ -103,7 +103,7 @@ def _pitch(gait: Gait) -> BPoly:
 def _lifted(
     foot: Foot, where: FloatArray, yaw: float, pitch: BPoly, phase: float, pivot: FloatArray
 ) -> list[FloatArray]:
-    """The ankle of a foot pitched about a still point (forward, up), and its three derivatives by phase."""
+    """Return the ankle of a foot pitched about a still point (forward, up), with derivatives by phase."""
     angle, rate, change, jerk = (float(pitch(phase, order)) for order in range(4))
     c, s = np.cos(angle), np.sin(angle)
     turned = np.array([c * pivot[0] - s * pivot[1], s * pivot[0] + c * pivot[1]])

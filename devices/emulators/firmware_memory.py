@@ -141,7 +141,7 @@ def motion_rows(
 
 
 def _matrix(w: float, u: FloatArray) -> FloatArray:
-    """R (3, 3) of a unit quaternion."""
+    """Return R (3, 3) of a unit quaternion."""
     cross = np.array([[0, -u[2], u[1]], [u[2], 0, -u[0]], [-u[1], u[0], 0]])
     R: FloatArray = (w * w - u @ u) * np.eye(3) + 2 * np.outer(u, u) + 2 * w * cross
     return R

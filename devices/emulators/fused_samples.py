@@ -39,7 +39,7 @@ class FusedOutput:
         self._stream = 0
 
     def encode(self, instants: FloatArray, sensed: Sensed, stream: int) -> list[bytes]:
-        """One body a sample, at instants (n,) of the module's clock, n > 0, s.
+        """Return one body a sample, at instants (n,) of the module's clock, n > 0, s.
 
         The first upload of another stream covers no time.
         """

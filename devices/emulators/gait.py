@@ -79,7 +79,7 @@ class PlannedPath:
     """The pelvis: where it is and where it faces at any time."""
 
     def __init__(self, gait: Gait, fade: Fade, axes: FloatArray) -> None:
-        """axes: (3, 3) columns forward, up and right, world."""
+        """Walk by ``gait``; axes: (3, 3) columns forward, up and right, world."""
         self._gait = gait
         self._fade = fade
         self._axes = axes
@@ -103,7 +103,7 @@ class PlannedPath:
         return Derivatives(*(part / self._gait.radius for part in self.travelled(times)))
 
     def place(self, times: FloatArray) -> tuple[Derivatives, Derivatives, Derivatives]:
-        """Of the pelvis: forward, up and to the right."""
+        """Return the pelvis' place: forward, up and to the right, m, with derivatives."""
         g, (s, ds, dds) = self._gait, self.travelled(times)
         psi = self.heading(times)
         cosine, sine = np.cos(psi.value), np.sin(psi.value)
@@ -124,7 +124,7 @@ class PlannedPath:
         return _plus(forward, _times(aside, out_x)), up, _plus(right, _times(aside, out_z))
 
     def _sideways(self, psi: Derivatives) -> tuple[Derivatives, Derivatives]:
-        """The direction to the right of the heading, forward and right parts."""
+        """Return the direction to the right of the heading: its forward and right parts."""
         c, s = np.cos(psi.value), np.sin(psi.value)
         return (
             Derivatives(s, c * psi.rate, c * psi.acceleration - s * psi.rate**2),
@@ -153,7 +153,8 @@ class PlannedAngles:
         stride_s: float,
         nodes: IntArray | None = None,
     ) -> None:
-        """coefficients: (6, K, N, 3) of powers from the knot (K,) on, highest first; the last stride repeats.
+        """Hold coefficients (6, K, N, 3) of powers from the knots (K,) on, highest first; the last one recurs.
+
         rest_s: until then the legs are at rest. nodes: the rows that are meant, in that order; default: all.
         """
         self._others, self._coefficients, self._knots = others, coefficients, knots
@@ -161,7 +162,7 @@ class PlannedAngles:
         self._nodes = np.arange(coefficients.shape[2]) if nodes is None else nodes
 
     def with_idle_row(self) -> PlannedAngles:
-        """One node more, which never turns."""
+        """Return one node more, which never turns."""
         idle = np.zeros((*self._coefficients.shape[:2], 1, 3))
         coefficients = np.concatenate([self._coefficients, idle], axis=2)
         return self._of(
@@ -169,14 +170,14 @@ class PlannedAngles:
         )
 
     def rows(self, rows: IntArray) -> PlannedAngles:
-        """The angles of some nodes only, in that order. Megabytes of coefficients stay where they are."""
+        """Return the angles of some nodes only, in that order; the large coefficients are not copied."""
         return self._of(self._others.rows(rows), self._coefficients, self._nodes[rows])
 
     def _of(self, others: Waves, coefficients: FloatArray, nodes: IntArray) -> PlannedAngles:
         return PlannedAngles(others, coefficients, self._knots, self._rest_s, self._stride_s, nodes)
 
     def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
-        """About x, y and z at ``times`` (T, N), each (T, N)."""
+        """Return the angles about x, y and z at ``times`` (T, N), each (T, N), with derivatives."""
         interval, since = self._interval(times.astype(np.float64))
         moves = times > self._rest_s
         others = self._others.evaluate(times, fade)
@@ -184,6 +185,7 @@ class PlannedAngles:
         for axis in range(3):
             c = self._coefficients[:, interval, self._nodes, axis] * moves
             value, rate, acceleration = np.zeros((3, *times.shape))
+            # Horner's scheme for the polynomial and its first two derivatives at once.
             for k in range(_DEGREE + 1):
                 acceleration = acceleration * since + 2.0 * rate
                 rate = rate * since + value

@@ -44,7 +44,7 @@ class GnssEmulation:
 
 
 def gnss_traffic(path: Path, start_ns: int, emulation: GnssEmulation, seed: int) -> Iterator[Transmission]:
-    """What the receiver sends, without end; time 0 of the path is ``start_ns`` of UTC, ns since 1970."""
+    """Yield what the receiver sends, without end; time 0 of the path is ``start_ns`` of UTC."""
     rng = np.random.default_rng([seed, 60])
     plane = LocalPlane(*emulation.origin)
     write = _nmea if emulation.kind == "nmea" else _ubx

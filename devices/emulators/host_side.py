@@ -21,15 +21,17 @@ class FromHost:
         self._waiting: list[tuple[float, bytes, int | None]] = []
 
     def receive(self, data: bytes, at_s: float, device: int | None = None) -> None:
-        """Bytes, or CAN records, that arrive at a true time, s; not before those given last.
+        """Take bytes, or CAN records, that arrive at a true time, s; not before those given last.
 
         device: number of the one that they come to; None: to all.
         """
         self._waiting.append((at_s, data, device))
 
     def before(self, to_s: float) -> list[tuple[float, ReceivedPacket, int | None]]:
-        """Takes the packets that arrive before a true time (s), with the times of their arrival and the
-        device that they come to."""
+        """Take and return the packets that arrive before a true time, s.
+
+        Each has the time of its arrival, and the device that it comes to.
+        """
         n_due = sum(at_s < to_s for at_s, *_ in self._waiting)
         due, self._waiting = self._waiting[:n_due], self._waiting[n_due:]
         return [
@@ -53,7 +55,7 @@ class RadioToDevice:
         self._last_s = 0.0
 
     def arrivals(self, at_s: float) -> list[float]:
-        """When a packet reaches the device that comes from the host at a true time, s: at most twice."""
+        """Return when a packet from the host, sent at a true time, reaches the device, s: at most twice."""
         settings, rng = self._settings, self._rng
         copies = self._copies()
         delay_s = settings.latency + (rng.exponential(settings.jitter) if settings.jitter else 0.0)
@@ -61,7 +63,7 @@ class RadioToDevice:
         return [self._last_s] * copies
 
     def receptions(self, on_air_s: float) -> list[float]:
-        """When the device acts on a trigger that is on the air at a true time, s: at most twice."""
+        """Return when the device acts on a trigger that is on the air at a true time, s: at most twice."""
         copies, mean_s = self._copies(), self._settings.reception
         return [on_air_s + (self._rng.exponential(mean_s) if mean_s else 0.0)] * copies
 
@@ -82,7 +84,7 @@ class Broadcaster:
         self._last_s = 0.0
 
     def on_air(self, at_s: float) -> float:
-        """When a packet goes on the air that comes from the host at a true time, s."""
+        """Return when a packet that comes from the host at a true time goes on the air, s."""
         settings = self._settings
         delay_s = settings.latency + (self._rng.exponential(settings.jitter) if settings.jitter else 0.0)
         self._last_s = max(self._last_s, at_s + delay_s)

@@ -31,7 +31,7 @@ class SensorValues:
 
 
 def lever_term(state: MotionState, arms: FloatArray) -> FloatArray:
-    """``ω̇ × r + ω × (ω × r)`` (T, M, 3) in segment axes, m/s², for lever arms r (M, 3) in segment axes."""
+    """Return ``ω̇ × r + ω × (ω × r)`` (T, M, 3), m/s², for lever arms r (M, 3), all in segment axes."""
     omega = state.angular_rate
     term: FloatArray = np.cross(state.angular_acceleration, arms) + np.cross(omega, np.cross(omega, arms))
     return term
@@ -81,6 +81,6 @@ def measure_point(state: MotionState, points: FloatArray, quantity: int) -> Floa
 
 
 def _apply(R: FloatArray, v: FloatArray) -> FloatArray:
-    """R (M, 3, 3) times v (T, M, 3)."""
+    """Return R (M, 3, 3) times v (T, M, 3)."""
     turned: FloatArray = np.einsum("mij,tmj->tmi", R, v)
     return turned

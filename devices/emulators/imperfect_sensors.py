@@ -38,7 +38,7 @@ class ImperfectSensors:
         magnetic_field: FloatArray,
         sampling_rate_hz: float,
     ) -> dict[str, FloatArray]:
-        """Readings (n, 3) by the name of the sensor, from true values (n, 3), in sensor axes."""
+        """Return readings (n, 3) by the name of the sensor, from true values (n, 3), in sensor axes."""
         errors, n = self._errors, len(specific_force)
         noise = _NO_NOISE
         gyroscope_bias = self.gyroscope_bias
@@ -59,7 +59,7 @@ class ImperfectSensors:
 
 
 def calibrated(readings: dict[str, FloatArray], calibration: tuple[float, ...]) -> dict[str, FloatArray]:
-    """Readings (n, 3) by sensor, corrected as a device does by its setting ``calibration`` (30 numbers).
+    """Return readings (n, 3) by sensor, corrected by the setting ``calibration`` (30 numbers).
 
     Accelerometer ``A (f − b)``, gyroscope ``ω − b``, magnetometer ``S (m − h)``.
     """

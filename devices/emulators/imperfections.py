@@ -167,7 +167,7 @@ class ModuleClock:
     """True time at which the module was switched on."""
 
     def count_us(self, elapsed: float) -> int:
-        """The 32-bit counter after so many seconds of its own."""
+        """Return the 32-bit counter after so many seconds of its own."""
         return (self.start_us + round(elapsed * 1e6)) % 2**32
 
     def true_time(self, elapsed: Seconds) -> Seconds:
@@ -175,16 +175,16 @@ class ModuleClock:
         return self.origin_s + elapsed / (1.0 + self.skew)
 
     def elapsed(self, true_time: float) -> float:
-        """How long the clock has run at a true time, s."""
+        """Return how long the clock has run at a true time, s."""
         return (true_time - self.origin_s) * (1.0 + self.skew)
 
     def restarted(self, at_s: float) -> ModuleClock:
-        """The same crystal after a loss of power: the counter begins at 0."""
+        """Return the same crystal after a loss of power: the counter begins at 0."""
         return replace(self, start_us=0, origin_s=at_s)
 
 
 def module_random(seed: int, module: int, purpose: int) -> Generator:
-    """An independent stream of random numbers: a module behaves the same whatever other modules there are."""
+    """Return independent random numbers: a module behaves the same whatever other modules there are."""
     return np.random.default_rng([seed, module, purpose])
 
 

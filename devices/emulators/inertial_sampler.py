@@ -32,7 +32,8 @@ class InertialSampler:
         disturbances: Mapping[int, Sequence[Disturbance]],
         sunlight: Sunlight | None = None,
     ) -> None:
-        """
+        """Build the sensors of all inertial modules.
+
         motion: its columns are the modules in the order of ``errors``.
         errors, disturbances: by number of the device.
         sunlight: what their photoelectric cells see; None: they have none.
@@ -57,11 +58,11 @@ class InertialSampler:
         )
 
     def is_prepared(self, sampling: Sampling) -> bool:
-        """Whether its instants were foreseen."""
+        """Return whether the instants of a sampling were foreseen."""
         return self._motion.has(self._wanted(sampling))
 
     def sample(self, samplings: Sequence[Sampling]) -> list[list[Timed]]:
-        """The wire frames of each."""
+        """Return the wire frames of each sampling."""
         sensed = self._motion.at([self._wanted(sampling) for sampling in samplings])
         bodies: list[tuple[int, list[bytes]]] = [(FusedSample.KIND, [])] * len(samplings)
         raw: list[int] = []
@@ -84,7 +85,7 @@ class InertialSampler:
         ]
 
     def _seen(self, sampling: Sampling, sensed: Sensed) -> list[Timed]:
-        """What the cells say, if there are any; a triggered sample has none."""
+        """Return what the cells say, if there are any; a triggered sample has none."""
         if not self._light or sampling.trigger is not None:
             return []
         return self._light[sampling.device].frames(sampling, sensed.R_ws)
@@ -93,7 +94,7 @@ class InertialSampler:
         return Wanted(self._column[sampling.device], sampling.times)
 
     def _encode_raw(self, samplings: Sequence[Sampling], sensed: Sequence[Sensed]) -> list[list[bytes]]:
-        """Bodies by sampling; encoded in one go, which costs far less than one by one."""
+        """Return bodies by sampling; encoded in one go, which costs far less than one by one."""
         if not samplings:
             return []
         readings = [self._read(sampling, at) for sampling, at in zip(samplings, sensed, strict=True)]

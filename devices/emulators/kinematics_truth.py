@@ -60,19 +60,24 @@ class _Moving(NamedTuple):
 class JointAngles(Protocol):
     """Rotations of segments against their parents, by segment."""
 
-    def with_idle_row(self) -> JointAngles: ...
+    def with_idle_row(self) -> JointAngles:
+        """Return the angles with one node more, which never turns."""
 
-    def rows(self, rows: IntArray) -> JointAngles: ...
+    def rows(self, rows: IntArray) -> JointAngles:
+        """Return the angles of some nodes only, in that order."""
 
-    def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]: ...
+    def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
+        """Return the angles about x, y and z at ``times`` (T, N), rad, each (T, N), with derivatives."""
 
 
 class RootPath(Protocol):
     """Where the root's joint is, and about the vertical how far its axes are turned."""
 
-    def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]: ...
+    def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
+        """Return the place's three components at ``times`` (T, N), m, each (T, N), with derivatives."""
 
-    def heading(self, times: FloatArray) -> Derivatives: ...
+    def heading(self, times: FloatArray) -> Derivatives:
+        """Return the heading at ``times``, rad, with derivatives."""
 
 
 class TreeKinematics:
@@ -105,7 +110,7 @@ class TreeKinematics:
         self._paths = [body.path(n) for n in range(body.n_segments)]
 
     def state(self, segments: IntArray, times: FloatArray) -> MotionState:
-        """segments: (M,) indices; times: (T, M), each segment at its own times, s."""
+        """Return the motion of ``segments`` (M,), each at its own times (T, M), s."""
         paths = self._padded_paths(segments)
         fade = self._fade.evaluate(times)
         moving = self._origin(times, fade)
@@ -121,7 +126,7 @@ class TreeKinematics:
         )
 
     def _padded_paths(self, segments: IntArray) -> IntArray:
-        """(M, depth) from root to segment; shorter paths end in a node that does not move."""
+        """Return paths (M, depth) from root to segment; shorter ones end in a node that does not move."""
         paths = [self._paths[n] for n in segments]
         depth = max(map(len, paths))
         return np.array([path + [self._idle] * (depth - len(path)) for path in paths], dtype=np.int64)
@@ -139,7 +144,7 @@ class TreeKinematics:
 
 
 def _turn(moving: _Moving, axis: int, theta: Derivatives) -> _Moving:
-    """Axes after a rotation about one of their own coordinate axes."""
+    """Return axes after a rotation about one of their own coordinate axes."""
     j, k = (axis + 1) % 3, (axis + 2) % 3
     c, s = np.cos(theta.value), np.sin(theta.value)
     R = list(moving.R)
@@ -155,7 +160,7 @@ def _turn(moving: _Moving, axis: int, theta: Derivatives) -> _Moving:
 
 
 def _turn_constant(moving: _Moving, C: FloatArray) -> _Moving:
-    """Axes after a constant rotation C (M, 3, 3)."""
+    """Return axes after a constant rotation C (M, 3, 3)."""
     if np.array_equal(C, np.broadcast_to(np.eye(3), C.shape)):
         return moving
     return moving._replace(
@@ -166,7 +171,7 @@ def _turn_constant(moving: _Moving, C: FloatArray) -> _Moving:
 
 
 def _displace(moving: _Moving, r: FloatArray) -> _Moving:
-    """The point at the lever arm r (M, 3) of the same rigid segment."""
+    """Return the point at the lever arm r (M, 3) of the same rigid segment."""
     if not r.any():
         return moving
     arm = np.broadcast_to(r.T[:, None, :], moving.omega.shape)
@@ -180,7 +185,7 @@ def _displace(moving: _Moving, r: FloatArray) -> _Moving:
 
 
 def _combined(parts: Sequence[FloatArray] | FloatArray, weights: FloatArray) -> FloatArray:
-    """Three arrays (…, M) weighted by the columns of (M, 3) and summed."""
+    """Return three arrays (…, M) weighted by the columns of (M, 3) and summed."""
     combined: FloatArray = parts[0] * weights[:, 0] + parts[1] * weights[:, 1] + parts[2] * weights[:, 2]
     return combined
 

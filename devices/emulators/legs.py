@@ -28,7 +28,7 @@ class Leg:
 
 
 def has_legs(body: EmulatedBody) -> bool:
-    """Whether the body's segments include two legs that hang on its root."""
+    """Return whether the body's segments include two legs that hang on its root."""
     names = [f"{side}_{part}" for side in ("left", "right") for part in ("thigh", "shank", "foot")]
     if not set(names) <= set(body.segment_names):
         return False
@@ -37,7 +37,7 @@ def has_legs(body: EmulatedBody) -> bool:
 
 
 def leg_of(body: EmulatedBody, side: str) -> Leg:
-    """Raises ``ValueError`` for a body without that leg."""
+    """Return a leg of the body. Raises ``ValueError`` for a body without that leg."""
     if not has_legs(body):
         raise ValueError("to walk, a body needs left_ and right_ thigh, shank and foot below its root")
     thigh, shank, foot = (body.segment_names.index(f"{side}_{part}") for part in ("thigh", "shank", "foot"))
@@ -61,7 +61,7 @@ def leg_angles(
     foot_heading: FloatArray,
     foot_pitch: FloatArray,
 ) -> FloatArray:
-    """``leg_angles_of`` of a pelvis that only turns about the vertical.
+    """Return ``leg_angles_of`` a pelvis that only turns about the vertical.
 
     facing, foot_heading, foot_pitch: (T,) rad.
     """
@@ -77,7 +77,7 @@ def foot_turn(heading: FloatArray, pitch: FloatArray) -> Rotation:
 def leg_angles_of(
     leg: Leg, pelvis: FloatArray, R_pelvis: Rotation, ankle: FloatArray, R_foot: Rotation
 ) -> FloatArray:
-    """(T, 3, 3): of thigh, shank and foot about x, y, z, each against its parent, turns in the order z, x, y.
+    """Return angles (T, 3, 3) of thigh, shank and foot about x, y, z, each against its parent, order z, x, y.
 
     pelvis, ankle: (T, 3) places, m: forward, up, right. Raises ``ValueError`` where the leg is too short.
     """

@@ -68,7 +68,7 @@ class LightSampler:
         self._gains = 1.0 + light.gain_error * self._rng.standard_normal(6)
 
     def frames(self, sampling: Sampling, R_ws: FloatArray) -> list[Timed]:
-        """R_ws: (n, 3, 3) sensor to world at the sampling's instants."""
+        """Return the frames of a sampling; R_ws: (n, 3, 3) sensor to world at its instants."""
         readings = self.read(sampling.times, R_ws)
         bodies = [encode_packet(LightSample(tuple(row))) for row in readings.tolist()]
         return [
@@ -77,7 +77,7 @@ class LightSampler:
         ]
 
     def read(self, times: FloatArray, R_ws: FloatArray) -> FloatArray:
-        """(n, 6) share of full scale, at true times (n,)."""
+        """Return readings (n, 6) as a share of full scale, at true times (n,)."""
         light = self._light
         normals = np.einsum("nij,kj->nki", R_ws, light.normals)  # (n, 6, 3) world
         direct, sky = np.ones(normals.shape[:2]), np.ones(normals.shape[:2])

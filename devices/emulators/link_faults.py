@@ -51,7 +51,7 @@ class LinkFaults:
         self._noise_due_s = 0.0
 
     def pass_on(self, sent: Iterable[Transmission], to_s: float) -> list[Transmission]:
-        """What arrives before ``to_s``, of this and of what was held back."""
+        """Return what arrives before ``to_s``, of this and of what was held back."""
         for transmission in sent:
             self._take(transmission)
         while self._has_noise and self._noise_due_s < to_s:
@@ -60,7 +60,7 @@ class LinkFaults:
         return self._arrived(to_s)
 
     def rest(self, sent: Iterable[Transmission]) -> list[Transmission]:
-        """All that is still under way, and this."""
+        """Return all that is still under way, and this."""
         for transmission in sent:
             self._take(transmission)
         return self._arrived(float("inf"))
@@ -117,7 +117,7 @@ class LinkFaults:
         return dripping
 
     def _turned(self, data: bytes) -> bytes:
-        """One bit turned over: of the data of a CAN frame, not of the record around it."""
+        """Flip one bit: of the data of a CAN frame, not of the record around it."""
         if self._framing is Framing.CAN:
             frames = unpack_can_records(data)
             place = int(self._rng.integers(len(frames)))

@@ -18,7 +18,7 @@ _PORTS = range(10_000, 32_000)
 
 
 def mosquitto_program() -> str:
-    """Where it is installed. Raises ``SystemExit`` where it is not."""
+    """Return where mosquitto is installed. Raises ``SystemExit`` where it is not."""
     program = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
     if program is None:
         raise SystemExit("this suite needs mosquitto: apt install mosquitto")
@@ -26,7 +26,7 @@ def mosquitto_program() -> str:
 
 
 def free_port() -> int:
-    """A port of the loopback interface that nobody has, for TCP and UDP."""
+    """Return a port of the loopback interface that nobody has, for TCP and UDP."""
     while True:
         port = random.SystemRandom().choice(_PORTS)
         with (
@@ -41,7 +41,7 @@ def free_port() -> int:
 
 @contextlib.contextmanager
 def mosquitto() -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
-    """(port, process) of a broker that listens."""
+    """Run a broker meanwhile; yield (port, process) once it listens."""
     program = mosquitto_program()
     port = free_port()
     with tempfile.TemporaryDirectory() as folder:

@@ -29,7 +29,7 @@ class LocalSampler:
         self._prepared = np.empty(0), np.empty((0, 3))
 
     def sample(self, sampling: Sampling, planned: FloatArray) -> list[Timed]:
-        """Its wire frames, values in world axes (of pressure tubes: along them).
+        """Return its wire frames, values in world axes (of pressure tubes: along them).
 
         planned: (n,) true times after these at which it will probably sample; evaluated with them.
         """

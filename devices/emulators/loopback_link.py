@@ -67,7 +67,7 @@ def loopback_pair(
     framing: Framing = Framing.BYTE_STREAM,
     clock: Callable[[], int] = gateway_time_ns,
 ) -> tuple[LoopbackLink, LoopbackLink]:
-    """Two ends: what is written to one arrives at the other. ``clock`` stamps, ns of gateway time."""
+    """Return two ends: what is written to one arrives at the other; ``clock`` stamps, ns of gateway time."""
     near = LoopbackLink(name, framing, clock)
     far = LoopbackLink(far_name or f"{name} (far end)", framing, clock)
     near._peer, far._peer = far, near

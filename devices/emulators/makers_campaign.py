@@ -56,7 +56,8 @@ _CAN_WAYS = (
 class _Decoder(Protocol):
     dropped: Counter[str]
 
-    def feed(self, data: bytes) -> Sequence[Any]: ...
+    def feed(self, data: bytes) -> Sequence[Any]:
+        """Return the messages that the bytes complete."""
 
 
 class Language(NamedTuple):

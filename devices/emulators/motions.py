@@ -41,7 +41,8 @@ class BodyMotion:
         fade: Fade | None = None,
         rotation_order: tuple[int, int, int] = ISB_ORDER,
     ) -> None:
-        """
+        """Move a body.
+
         joint_angles: S rows, rotations of each segment against its parent about x, y, z of its own axes, rad.
         root_path: one row, the root's joint in the world, m. Default: it stays at the origin.
         fade: how long the body rests in its reference posture and how it sets off.
@@ -52,7 +53,7 @@ class BodyMotion:
         self._kinematics = TreeKinematics(body, joint_angles, path, fade or Fade(), rotation_order)
 
     def state(self, t: ArrayLike) -> MotionState:
-        """All segments at the times t (T,), s: arrays (T, S, …).
+        """Return all segments at the times t (T,), s: arrays (T, S, …).
 
         Times of type ``longdouble`` give all of it in that precision (the quaternions excepted).
         """
@@ -62,12 +63,12 @@ class BodyMotion:
         return self._kinematics.state(np.arange(n), np.broadcast_to(times[:, None], (len(times), n)))
 
     def module_state(self, segments: IntArray, times: FloatArray) -> MotionState:
-        """The given segments (M,), each at its own times (T, M), s: arrays (T, M, …)."""
+        """Return the given segments (M,), each at its own times (T, M), s: arrays (T, M, …)."""
         return self._kinematics.state(segments, times)
 
 
 def peak_rates(motion: BodyMotion, span_s: float = _FITTING_SPAN_S) -> tuple[float, float]:
-    """The largest |ω| (rad/s) and |ω̇| (rad/s²) of any segment within the span."""
+    """Return the largest |ω| (rad/s) and |ω̇| (rad/s²) of any segment within the span."""
     state = motion.state(np.arange(0.0, span_s, 0.02))
     return (
         float(np.linalg.norm(state.angular_rate, axis=2).max()),
@@ -84,7 +85,7 @@ def generic_motion(
     root_travel_m: float = 0.0,
     fade: Fade | None = None,
 ) -> BodyMotion:
-    """Every joint about all its axes at random; reaches the asked peaks (of any segment, absolute).
+    """Move every joint about all its axes at random, to the peaks asked for (of any segment, absolute).
 
     peak_angular_rate: rad/s. peak_angular_acceleration: rad/s²; their ratio sets the frequencies.
     root_travel_m: amplitude of the root's path along each world axis (0: the root's joint is fixed).
@@ -105,12 +106,12 @@ def generic_motion(
 
 
 def robot_arm_motion(body: EmulatedBody, seed: int, fade: Fade | None = None) -> BodyMotion:
-    """A fixed base and all joints at work: peaks of 3 rad/s and 20 rad/s²."""
+    """Return a fixed base and all joints at work: peaks of 3 rad/s and 20 rad/s²."""
     return generic_motion(body, seed, peak_angular_rate=3.0, peak_angular_acceleration=20.0, fade=fade)
 
 
 def pendulum_motion(body: EmulatedBody, seed: int, fade: Fade | None = None) -> BodyMotion:
-    """A chain that swings about a fixed pivot as gravity would have it, mostly in the plane east-up.
+    """Return a chain that swings about a fixed pivot as gravity would have it, mostly in the plane east-up.
 
     The first two modes of a hanging chain: all links together, slow and wide; and link against
     link, faster and narrow. Whatever the segments' axes are, the swing is about world axes.
@@ -207,7 +208,10 @@ def _phases(rng: Generator, shape: tuple[int, ...]) -> FloatArray:
 def _fitted_to_peaks(
     angles: Waves, build: Callable[[Waves], BodyMotion], peak_rate: float, peak_acceleration: float
 ) -> Waves:
-    """Rates go with amplitude × frequency, accelerations with amplitude × frequency²: solve by iteration."""
+    """Return the waves scaled to the peaks, by iteration.
+
+    Rates go with amplitude × frequency, accelerations with amplitude × frequency².
+    """
     for _ in range(_FITTING_ROUNDS):
         rate, acceleration = peak_rates(build(angles))
         faster = (peak_acceleration / peak_rate) / (acceleration / rate)

@@ -32,7 +32,7 @@ class MtiVoice(Voice):
     """``MTData2`` with counter, time, status, acceleration, rate of turn and magnetic field."""
 
     def __init__(self, module: int, field_ut: float = 49.0, number: int = 0) -> None:
-        """number: place of the number format in ``NUMBERS``."""
+        """Begin to measure; ``number`` is the place of the number format in ``NUMBERS``."""
         super().__init__(module, field_ut)
         self.outputs: dict[str, int] = {
             "packet_counter": EVERY_PACKET,

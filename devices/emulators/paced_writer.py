@@ -21,7 +21,7 @@ LEAD_S = 0.3
 
 
 def ticks(n_modules: int, rate_hz: float, seconds: float) -> list[bytes]:
-    """One relay batch a tick: all modules sampled at the same instant."""
+    """Return one relay batch a tick: all modules sampled at the same instant."""
     sample = InertialSample((0.1, 0.2, 9.8), (20.0, 1.0, -40.0), (0.01, 0.02, -0.03))
     result = []
     for k in range(round(seconds * rate_hz)):

@@ -30,7 +30,7 @@ class PowerCut:
     off_s: float = OFF_S
 
     def strikes(self, verb: int) -> bool:
-        """Whether this command is the one; counts it otherwise."""
+        """Return whether this command is the one; count it otherwise."""
         if verb != self.verb:
             return False
         self.skips -= 1

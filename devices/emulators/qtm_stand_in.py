@@ -40,12 +40,12 @@ FILE_STARTED, FILE_STOPPED = 8, 9
 
 
 def packet(kind: Kind, content: bytes = b"") -> bytes:
-    """A packet of the protocol."""
+    """Return a packet of the protocol."""
     return _HEADER.pack(_HEADER.size + len(content), kind) + content
 
 
 def data_packet(trial: MarkerTrial, frame: int, number: int) -> bytes:
-    """One frame: components 3D and 3D no labels, mm; a marker that is not seen is NaN."""
+    """Return one frame: components 3D and 3D no labels, mm; a marker that is not seen is NaN."""
     named = (1e3 * trial.positions[frame, _named(trial)]).astype("<f4")
     nameless = 1e3 * trial.unlabelled()[frame]
     nameless = nameless[np.isfinite(nameless).all(axis=1)]
@@ -62,7 +62,7 @@ def data_packet(trial: MarkerTrial, frame: int, number: int) -> bytes:
 
 
 def parameters(trial: MarkerTrial, up: str) -> str:
-    """The answer to ``GetParameters 3D``."""
+    """Return the answer to ``GetParameters 3D``."""
     labels = "".join(
         f"<Label><Name>{escape(trial.labels[i])}</Name><RGBColor>0</RGBColor></Label>" for i in _named(trial)
     )
@@ -88,9 +88,13 @@ class QtmStandIn:
         repeats: bool = False,
         on_end: Callable[[], None] = lambda: None,
     ) -> None:
-        """trial: None: QTM without a measurement. newest: version 1.… of the protocol that it knows.
+        """Prepare to serve a trial.
+
+        trial: None: QTM without a measurement. newest: version 1.… of the protocol that it knows.
         left_out: frames that it does not send. speed: 1 is as captured. repeats: from the beginning at the
-        end. on_end: told when a client has had all frames."""
+        end.
+        on_end: called when a client has had all frames.
+        """
         self.trial = trial
         self.host = host
         self.port = port
@@ -123,12 +127,12 @@ class QtmStandIn:
             self._server = None
 
     def hang_up(self) -> None:
-        """On everybody, as when QTM dies; who connects again is served."""
+        """Hang up on everybody, as when QTM dies; who connects again is served."""
         for writer in list(self._clients):
             writer.transport.abort()
 
     def tell(self, event: int) -> None:
-        """An event, to everybody."""
+        """Send an event to everybody."""
         for writer in self._clients:
             writer.write(packet(Kind.EVENT, bytes([event])))
 

@@ -62,7 +62,7 @@ MTW_SEGMENTS = {
 
 
 def read_ring_chain5(trial: Path, kind: str = "rigid", root_marker: int | None = None) -> Recording:
-    """Five modules at 40 Hz on a chain, an optical reference at 30 Hz, and the root's position.
+    """Read five modules at 40 Hz on a chain, an optical reference at 30 Hz, and the root's position.
 
     trial: folder of the trial. kind: ``rigid`` or ``nonrigid`` (modules on foam).
     root_marker: marker 1 to 4 of segment 1 that gives the position of the local device; None: their mean.
@@ -91,7 +91,7 @@ def read_ring_chain5(trial: Path, kind: str = "rigid", root_marker: int | None =
 
 
 def read_broad(path: Path) -> Recording:
-    """A BROAD trial (.mat): module 1 at 285.714 Hz; optical orientation and position at the same instants."""
+    """Read a BROAD trial (.mat): module 1 at 285.714 Hz, optical orientation and position at its instants."""
     trial = loadmat(path, squeeze_me=True)
     times: FloatArray = np.arange(len(trial["imu_acc"]), dtype=np.float64) * _BROAD_INTERVAL_S
     module = ModuleTrack(1, "module", times, trial["imu_acc"], trial["imu_gyr"], trial["imu_mag"])
@@ -101,13 +101,13 @@ def read_broad(path: Path) -> Recording:
 
 
 def read_repoimu_tstick(path: Path) -> Recording:
-    """A RepoIMU T-stick trial: module 1 at 100 Hz with optical orientation."""
+    """Read a RepoIMU T-stick trial: module 1 at 100 Hz with optical orientation."""
     track, reference = _read_repoimu(path, 1, "module")
     return Recording(f"repoimu_{path.stem}", 100.0, (track,), (reference,))
 
 
 def read_repoimu_pendulum(folder: Path) -> Recording:
-    """The three segments of a RepoIMU pendulum trial, modules 1 to 3, about 50 Hz.
+    """Read the three segments of a RepoIMU pendulum trial, modules 1 to 3, about 50 Hz.
 
     The logger repeated what had not changed: rows without a new angular rate are dropped, and the
     accelerometer and the magnetometer, which changed more rarely still, are interpolated between their
@@ -160,12 +160,12 @@ def _read_repoimu(path: Path, module: int, name: str) -> tuple[ModuleTrack, Refe
 
 
 def _numbers(line: str) -> list[float]:
-    """Fields of a line; numbers with exponents may have decimal commas."""
+    """Return the fields of a line; numbers with exponents may have decimal commas."""
     return [float(text.replace(",", ".")) for text in line.strip().strip(";").split(";")]
 
 
 def _changes(values: FloatArray) -> Any:
-    """(n,) whether a row differs from the one before; the first does."""
+    """Return whether a row differs from the one before, (n,); the first does."""
     return np.concatenate([[True], (np.diff(values, axis=0) != 0.0).any(axis=1)])
 
 
@@ -175,7 +175,7 @@ def _between_changes(times: FloatArray, values: FloatArray, at: FloatArray) -> F
 
 
 def _without_flips(track: ReferenceTrack) -> ReferenceTrack:
-    """Rows next to a turn faster than the pendulum can be, and those between two such turns: NaN.
+    """Set rows to NaN next to a turn faster than the pendulum can be, and between two such turns.
 
     Markers that have been taken for one another are soon told apart again, with a second flip.
     """
@@ -192,7 +192,7 @@ def _without_flips(track: ReferenceTrack) -> ReferenceTrack:
 
 
 def _x_down_to_z_up(track: ReferenceTrack) -> ReferenceTrack:
-    """The reference in a world with Z up and of segment axes with X up, from X down in both."""
+    """Return the reference in a world with Z up and of segment axes with X up, from X down in both."""
     known = np.isfinite(track.q_wb).all(axis=1)
     half_turn = Rotation.from_euler("z", 180, degrees=True)
     to_z = Rotation.from_euler("y", -90, degrees=True) * half_turn

@@ -129,8 +129,11 @@ def track_of(
     angular_rate: FloatArray | None = None,
     magnetic_field: FloatArray | None = None,
 ) -> ModuleTrack:
-    """A track in SI units, its magnetic readings, of any unit, scaled to a mean norm of
-    ``NOMINAL_FIELD_UT``. Sensors that are None were not there."""
+    """Return a track in SI units.
+
+    Magnetic readings, of any unit, are scaled to a mean norm of ``NOMINAL_FIELD_UT``. Sensors that are None
+    were not there.
+    """
     absent = np.full_like(specific_force, np.nan)
     rate = absent if angular_rate is None else angular_rate
     if magnetic_field is None or not np.isfinite(magnetic_field).any():
@@ -140,7 +143,7 @@ def track_of(
 
 
 def play(recording: Recording, encoding: Encoding | None = None) -> Iterator[Transmission]:
-    """What the modules would have sent, in order of time: (time in s, bytes) without any delay.
+    """Yield what the modules would have sent, in order of time: (time in s, bytes) without any delay.
 
     Every module introduces itself, then sends its samples as ``InertialSampleFine``, and its own
     orientations as ``FusedSample``. The same recording always gives the same bytes.

@@ -73,7 +73,7 @@ class RelayDevice(EmulatedDevice):
         super()._pass_time(to_s)
 
     def _work_until(self, to_s: float) -> None:
-        """Nothing: it has no sensors."""
+        """Do nothing: a relay has no sensors."""
 
     def _record(self, timed: Timed) -> None:
         if self.card is None or self.card.recording is None:

@@ -34,7 +34,7 @@ def write_files(trial: Path, folder: Path) -> None:
 
 
 def _markers(trial: Path) -> tuple[list[str], FloatArray]:
-    """Labels, and (F, 20, 3) m. Where the set tells no orientation of a segment its markers were not seen."""
+    """Return labels, and places (F, 20, 3), m; NaN where the set has no orientation of the segment."""
     path = trial / "omc.csv"
     names = path.read_text().splitlines()[2].split(",")
     table = np.genfromtxt(path, delimiter=",", skip_header=3)

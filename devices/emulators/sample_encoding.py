@@ -27,7 +27,7 @@ class SampleEncoder:
     def __init__(
         self, packet: type[InertialSample] | type[InertialSampleFine], sensors: tuple[str, ...] = SENSORS
     ) -> None:
-        """Raises ``ValueError`` for a sensor that the packet does not have."""
+        """Prepare to encode. Raises ``ValueError`` for a sensor that the packet does not have."""
         layout = layout_of(packet)
         unknown = set(sensors) - {f.name for f in layout.fields}
         if unknown:
@@ -46,7 +46,7 @@ class SampleEncoder:
         ranges: Mapping[str, FloatArray] | None = None,
         is_triggered: BoolArray | None = None,
     ) -> list[bytes]:
-        """One body a sample; what is beyond the range is sent as its end and marked as clipped.
+        """Return one body a sample; what is beyond the range is sent as its end and marked as clipped.
 
         readings: sensor to (n, 3), SI and µT.
         ranges: sensor to (n, 1), largest reading of an axis; default: as far as the wire can tell it.

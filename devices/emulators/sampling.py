@@ -25,7 +25,7 @@ class SampleSettings(NamedTuple):
 
     @classmethod
     def of(cls, settings: StoredSettings) -> SampleSettings:
-        """As a device has them stored."""
+        """Return the settings as a device has them stored."""
         return cls(
             mode=settings["mode"],
             rate_hz=round(settings["sampling_rate"], 1),  # a step is 0.1 Hz
@@ -66,7 +66,7 @@ class Sampling(NamedTuple):
         return self.sender.clock.true_time(self.instants)
 
     def frame(self, kind: int, elapsed: float, body: bytes) -> Timed:
-        """One of the samples as a wire frame. A triggered one bears the trigger's number."""
+        """Return one of the samples as a wire frame; a triggered one bears the trigger's number."""
         if self.trigger is None:
             return self.sender.frame(kind, elapsed, body)
         timed = self.sender.numbered(kind, elapsed, body, self.trigger.number)

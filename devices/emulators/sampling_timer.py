@@ -22,20 +22,20 @@ class Schedule:
         self._taken = 0
 
     def until(self, true_time: float) -> FloatArray:
-        """Takes the instants (n,) not yet taken that lie before a true time, by the clock, s."""
+        """Take the instants (n,) not yet taken that lie before a true time, by the clock, s."""
         instants = self.ahead(true_time)
         self._taken += len(instants)
         return instants
 
     def ahead(self, true_time: float) -> FloatArray:
-        """The same instants, left where they are."""
+        """Return the same instants without taking them."""
         end = self.count_before(self._clock.elapsed(true_time))
         if end <= self._taken:
             return _NO_INSTANTS
         return self._phase + np.arange(self._taken, end, dtype=np.float64) * self._interval
 
     def count_before(self, elapsed: float) -> int:
-        """How many instants lie before one of the clock's times."""
+        """Return how many instants lie before one of the clock's times, s."""
         # An instant at that very time does not, whatever the rounding.
         return max(0, math.ceil((elapsed - self._phase) / self._interval - 1e-6))
 
@@ -44,7 +44,7 @@ class SamplingTimer:
     """One schedule after the other, with pauses, and a count of all samples."""
 
     def __init__(self, clock: ModuleClock) -> None:
-        """Does not run yet."""
+        """Begin stopped."""
         self._clock = clock
         self._schedule: Schedule | None = None
         self._taken_before = 0
@@ -54,23 +54,23 @@ class SamplingTimer:
         self._schedule = Schedule(self._clock, 1.0 / rate_hz, first_s)
 
     def stop(self, elapsed: float) -> None:
-        """No sample from now on."""
+        """Take no sample from now on."""
         self._taken_before = self.count_before(elapsed)
         self._schedule = None
 
     def count_one(self) -> None:
-        """A sample was taken that is none of the timer's: a triggered one."""
+        """Count a sample that is none of the timer's: a triggered one."""
         self._taken_before += 1
 
     def until(self, true_time: float) -> FloatArray:
-        """Takes the instants (n,) not yet taken before a true time, by the clock, s."""
+        """Take the instants (n,) not yet taken before a true time, by the clock, s."""
         return _NO_INSTANTS if self._schedule is None else self._schedule.until(true_time)
 
     def ahead(self, true_time: float) -> FloatArray:
-        """The same instants, left where they are: what will be taken if nothing is changed."""
+        """Return the same instants without taking them: what will be taken if nothing is changed."""
         return _NO_INSTANTS if self._schedule is None else self._schedule.ahead(true_time)
 
     def count_before(self, elapsed: float) -> int:
-        """Samples taken before one of the clock's times."""
+        """Return how many samples were taken before one of the clock's times, s."""
         running = 0 if self._schedule is None else self._schedule.count_before(elapsed)
         return self._taken_before + running

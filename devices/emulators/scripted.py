@@ -30,7 +30,7 @@ class Term(NamedTuple):
 
 
 def pulses(row: int, axis: int, angle: float, begin: float, end: float, count: int) -> list[Term]:
-    """From 0 to the angle and back, ``count`` times between begin and end: angle (1 − cos) / 2."""
+    """Return terms, angle (1 − cos) / 2, from 0 to the angle and back ``count`` times from begin to end."""
     frequency = count / (end - begin)
     ramp = min(0.3, 0.1 * (end - begin))
     return [
@@ -53,7 +53,7 @@ class Script:
 
     @classmethod
     def of(cls, n_rows: int, terms: list[Term], period: float) -> Script:
-        """From a list of terms."""
+        """Return the script of a list of terms."""
         used: dict[tuple[int, int], int] = {}
         slots = []
         for term in terms:
@@ -68,18 +68,18 @@ class Script:
         return cls(period, *arrays)
 
     def rows(self, rows: IntArray) -> Script:
-        """Some rows only, in that order."""
+        """Return some rows only, in that order."""
         return Script(self.period, *(array[rows] for array in self._arrays()))
 
     def with_idle_row(self) -> Script:
-        """One row more, which never moves."""
+        """Return one row more, which never moves."""
         idle = [np.zeros((1, *array.shape[1:])) for array in self._arrays()]
         idle[3] += 1.0
         pairs = zip(self._arrays(), idle, strict=True)
         return Script(self.period, *(np.concatenate([array, none]) for array, none in pairs))
 
     def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
-        """The three angles at ``times`` (T, N), each (T, N). The script has its own fades."""
+        """Return the three angles at ``times`` (T, N), each (T, N); the script has its own fades."""
         at = np.mod(times, self.period)
         return [self._component(axis, at) for axis in range(3)]
 

@@ -23,23 +23,23 @@ class Sender:
     """An id, a clock, and a sequence for every kind of wire frame."""
 
     def __init__(self, module: int, clock: ModuleClock, sequences: Counter[int] | None = None) -> None:
-        """sequences: those of the sender that this one takes over from, under another id."""
+        """Send as ``module``; ``sequences`` are those of a sender with another id that this one replaces."""
         self.module = module
         self.clock = clock
         self.sequences: Counter[int] = Counter() if sequences is None else sequences
         """Wire frames sent so far, by kind."""
 
     def frame(self, kind: int, elapsed: float, body: bytes) -> Timed:
-        """The next wire frame of this kind, stamped with the clock."""
+        """Return the next wire frame of this kind, stamped with the clock."""
         sequence = self.sequences[kind]
         self.sequences[kind] = sequence + 1
         return self.numbered(kind, elapsed, body, sequence % 2**16)
 
     def numbered(self, kind: int, elapsed: float, body: bytes, sequence: int) -> Timed:
-        """A wire frame under a sequence number that is not this sender's to choose."""
+        """Return a wire frame under a sequence number that is not this sender's to choose."""
         wire_frame = WireFrame(kind, self.module, sequence, self.clock.count_us(elapsed), body)
         return Timed(self.clock.true_time(elapsed), wire_frame)
 
     def packet(self, packet: Packet, elapsed: float) -> Timed:
-        """The next wire frame of this packet's kind."""
+        """Return the next wire frame of this packet's kind."""
         return self.frame(packet.KIND, elapsed, encode_packet(packet))

@@ -27,7 +27,7 @@ class Sensed(NamedTuple):
     position: FloatArray  # (n, 3) m, world
 
     def rows(self, start: int, n: int) -> Sensed:
-        """A run of the instants."""
+        """Return a run of the instants."""
         return Sensed(*(values[start : start + n] for values in self))
 
 
@@ -51,7 +51,8 @@ class SensedMotion:
         gravity: FloatArray,
         magnetic_field: FloatArray,
     ) -> None:
-        """
+        """Prepare to evaluate.
+
         segments: (M,) which segment each module sits on.
         lever_arms: (M, 3) proximal joint to module, segment axes, m.
         R_bs: (M, 3, 3) sensor axes to segment axes.
@@ -71,11 +72,11 @@ class SensedMotion:
         self._prepared = {plan.column: (plan.times, at) for plan, at in zip(plans, sensed, strict=True)}
 
     def has(self, wanted: Wanted) -> bool:
-        """Whether those instants are prepared."""
+        """Return whether those instants are prepared."""
         return self._look_up(wanted) is not None
 
     def at(self, wanted: Sequence[Wanted]) -> list[Sensed]:
-        """The modules at their instants, prepared or not."""
+        """Return the modules at their instants, prepared or not."""
         found = [self._look_up(one) for one in wanted]
         missing = [one for one, sensed in zip(wanted, found, strict=True) if sensed is None]
         evaluated = iter(self._evaluate(missing))

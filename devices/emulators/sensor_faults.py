@@ -41,7 +41,7 @@ class SensorFaults:
         """By identity of the fault: which time it is that it came, and what the stuck sensor says."""
 
     def spoil(self, device: int, sent: list[Timed]) -> list[Timed]:
-        """The wire frames of a device, some of them changed."""
+        """Return the wire frames of a device, some of them changed."""
         windows = self._faults.get(device)
         return sent if windows is None else [self._spoil_one(windows, timed) for timed in sent]
 
@@ -72,7 +72,7 @@ class SensorFaults:
         return _with_body(timed, encode_packet(replace(packet, **changes)))
 
     def _held_value(self, fault: Stuck, at_s: float, value: Vector3) -> Vector3:
-        """What the sensor said when the fault began, this time."""
+        """Return what the sensor said when the fault began, this time."""
         time = 0 if fault.every is None else int((at_s - fault.at) // fault.every)
         if self._held.get(id(fault), (-1, value))[0] != time:
             self._held[id(fault)] = time, value

@@ -46,7 +46,7 @@ class StatusReports:
         )
 
     def until(self, true_time: float) -> list[Timed]:
-        """Reports due before a true time, s."""
+        """Return reports due before a true time, s."""
         infos = [self.sender.packet(self.info, at) for at in self._info_schedule.until(true_time).tolist()]
         healths = [
             self.sender.packet(self.health(at), at) for at in self._health_schedule.until(true_time).tolist()
@@ -54,7 +54,7 @@ class StatusReports:
         return infos + healths
 
     def health(self, elapsed: float) -> Health:
-        """How the device fares at a time of its clock, s."""
+        """Return how the device fares at a time of its clock, s."""
         module = self.sender.module
         charge = max(0.0, 0.97 - 0.005 * (module % 8) - elapsed / _BATTERY_LIFE_S)
         return Health(
@@ -76,7 +76,7 @@ def device_info(
     sensors: tuple[str, ...],
     ranges: Mapping[str, float] = DEFAULT_RANGES,
 ) -> DeviceInfo:
-    """Who a device is (12 bytes of id); the sensors it does not carry are absent."""
+    """Return who a device is (12 bytes of id); sensors that it lacks are absent."""
     acc, mag, gyr = (
         (ranges[name], sampling_rate_hz) if name in sensors else (None, None) for name in SENSORS
     )

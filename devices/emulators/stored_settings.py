@@ -30,11 +30,11 @@ class StoredSettings:
         return self._store.generation is None
 
     def __getitem__(self, name: str) -> Any:
-        """The value acted by. Raises ``KeyError`` for a name that is no setting's."""
+        """Return the value acted by. Raises ``KeyError`` for a name that is no setting's."""
         return self._active[KEYS[name]]
 
     def value(self, key: int) -> Any:
-        """What a host reads: the staged value if there is one, else the one acted by."""
+        """Return what a host reads: the staged value if there is one, else the one acted by."""
         return self.staged.get(key, self._active[key])
 
     def stage(self, key: int, value: Any) -> None:

@@ -53,7 +53,7 @@ class Stride:
     """Of the pelvis, forward."""
 
     def scaled(self, leg_m: float) -> Stride:
-        """The same stride of somebody whose thigh and shank are so long together."""
+        """Return the same stride of somebody whose thigh and shank together are ``leg_m`` long."""
         ratio = leg_m / FITTED_LEG_M
         return replace(
             self,
@@ -71,7 +71,7 @@ def _times(sizes: tuple[float, float, float], ratio: float) -> tuple[float, floa
 
 
 def bump(part: FloatArray, kind: int) -> FloatArray:
-    """0 at both ends of 0 … 1 with four derivatives; kind −1: early, 0: in the middle, 1: late."""
+    """Return a bump, 0 at both ends of 0 … 1 with four derivatives; kind −1: early, 0: middle, 1: late."""
     shape = np.clip(4.0 * part * (1.0 - part), 0.0, 1.0) ** 5
     return shape * (1.0 + (4.0 * (part - 0.5) if kind > 0 else -4.0 * (part - 0.5)) if kind else shape**0)
 

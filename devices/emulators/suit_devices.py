@@ -52,11 +52,11 @@ class SuitParts:
         """Numbers of the inertial modules, in the order of their segments."""
 
     def random(self, number: int, purpose: int) -> np.random.Generator:
-        """The random stream of a device for one purpose."""
+        """Return the random stream of a device for one purpose."""
         return module_random(self._seed, number, purpose)
 
     def modules(self) -> dict[int, EmulatedDevice]:
-        """The inertial modules and the local measuring devices, by number."""
+        """Return the inertial modules and the local measuring devices, by number."""
         settings, local = self._settings, self._motion.body.local_devices
         rates = {number: settings.rate(number) for number in self.inertial}
         devices = {
@@ -68,7 +68,7 @@ class SuitParts:
         return devices | {d.module: self._device(d.module, d.rate_hz, RAW, ()) for d in local}
 
     def relay(self, numbers: Iterable[int]) -> RelayDevice:
-        """A relay as fast as the fastest of those devices."""
+        """Return a relay as fast as the fastest of those devices."""
         settings = self._settings
         fastest = max((settings.rate(number) for number in numbers), default=settings.sampling_rate_hz)
         flash = EmulatedFlash(seed=self._seed)
@@ -82,7 +82,7 @@ class SuitParts:
         )
 
     def sampler(self, devices: dict[int, EmulatedDevice]) -> InertialSampler:
-        """What the inertial modules among the devices sense."""
+        """Return what samples the inertial modules among the devices."""
         settings = self._settings
         errors = {
             number: draw_errors(self._imperfections, self.random(number, ERRORS)) for number in self.inertial
@@ -132,7 +132,7 @@ class SuitParts:
 def _mountings(
     body: EmulatedBody, segments: IntArray, errors: list[ModuleErrors]
 ) -> tuple[FloatArray, FloatArray]:
-    """Where the modules really are: lever arms (M, 3) and rotations (M, 3, 3) sensor to segment."""
+    """Return where the modules are in truth: lever arms (M, 3), m, and rotations (M, 3, 3) to the segment."""
     shifts = np.array([e.placement for e in errors]).reshape(-1, 3)
     turns = np.array([e.placement_rotation for e in errors]).reshape(-1, 3, 3)
     nominal = Rotation.from_quat(body.sensor_to_segment[segments], scalar_first=True).as_matrix()

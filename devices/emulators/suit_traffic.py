@@ -58,7 +58,7 @@ class SuitTraffic:
         imperfections: Imperfections = IDEAL,
         seed: int = 0,
     ) -> None:
-        """Raises ``ValueError`` when a relay is asked for on a CAN bus."""
+        """Build the suit. Raises ``ValueError`` when a relay is asked for on a CAN bus."""
         self.settings = settings = settings or SuitSettings()
         if settings.has_relay and settings.encoding.framing is Framing.CAN:
             raise ValueError("a relay on a CAN bus: CAN cannot carry its batches; use a byte stream")
@@ -84,7 +84,7 @@ class SuitTraffic:
         return {number: device.sender for number, device in self.devices.items() if number != RELAY}
 
     def transmissions(self, duration_s: float | None = None) -> Iterator[Transmission]:
-        """Everything sent until ``duration_s`` of motion time (None: without end), computed as it is taken.
+        """Yield everything sent until ``duration_s`` of motion time (None: without end), as it is taken.
 
         At the end, what is still under way comes too.
         """
@@ -94,7 +94,7 @@ class SuitTraffic:
         yield from self.rest()
 
     def receive(self, data: bytes, at_s: float, device: int | None = None) -> None:
-        """Bytes, or CAN records, from the host, in order of time (motion time, s).
+        """Take bytes, or CAN records, from the host, in order of time (motion time, s).
 
         device: number of the one that they come to, where each has an address of its own; the relay
         passes on to all what comes to it. What should have come before the time that ``advance`` has
@@ -108,7 +108,7 @@ class SuitTraffic:
             self.devices[number].happen(at_s, partial(self._answer, number, data, at_s))
 
     def advance(self, to_s: float) -> list[Transmission]:
-        """Everything that arrives between the last call's time and ``to_s`` (motion time, s), in order."""
+        """Return all that arrives between the last call's time and ``to_s`` (motion time, s), in order."""
         for at_s, received, addressee in self.from_host.before(to_s):
             on_air_s = self._broadcaster.on_air(at_s) if received.kind == SamplingTrigger.KIND else None
             for number, device in self.devices.items():
@@ -133,11 +133,11 @@ class SuitTraffic:
         return list(self._arrived_before(to_s))
 
     def rest(self) -> list[Transmission]:
-        """What is still under way."""
+        """Return what is still under way."""
         return list(self._arrived_before(np.inf))
 
     def device(self, which: int | str | bytes) -> EmulatedDevice:
-        """A device by number (the relay's is 0xFE), name of its segment or unique id.
+        """Return a device by number (the relay's is 0xFE), name of its segment or unique id.
 
         Raises ``KeyError``, naming what there is, when there is none.
         """
@@ -175,7 +175,7 @@ class SuitTraffic:
         device.happen(at_s, lambda: device.lose_power(off_s))
 
     def lose_host(self, from_s: float, to_s: float) -> None:
-        """The host is out of range for a while: nothing passes, either way."""
+        """Put the host out of range for a while: nothing passes, either way."""
         self._host_absences.append((from_s, to_s))
 
     def _answer(self, number: int, data: bytes, at_s: float) -> None:

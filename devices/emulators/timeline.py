@@ -29,12 +29,12 @@ class Timeline:
         self._order = 0
 
     def add(self, at_s: float, act: Callable[[], None], boot: int = FROM_OUTSIDE) -> None:
-        """Something that is to happen."""
+        """Add something that is to happen."""
         heapq.heappush(self._waiting, Happening(at_s, self._order, act, boot))
         self._order += 1
 
     def next_before(self, to_s: float) -> Happening | None:
-        """Takes the next one that lies before a true time, s."""
+        """Take the next one that lies before a true time, s."""
         if not self._waiting or self._waiting[0].at_s >= to_s:
             return None
         return heapq.heappop(self._waiting)

@@ -54,13 +54,13 @@ class TumblingMotion(BodyMotion):
                 self._arms[n] = self._arms[parent] + self._reference[parent] @ body.offsets[n]
 
     def state(self, t: ArrayLike) -> MotionState:
-        """As ``BodyMotion.state``."""
+        """Return the state as ``BodyMotion.state`` does."""
         times = np.atleast_1d(np.asarray(t, dtype=np.float64))
         n = self.body.n_segments
         return self.module_state(np.arange(n), np.broadcast_to(times[:, None], (len(times), n)))
 
     def module_state(self, segments: IntArray, times: FloatArray) -> MotionState:
-        """As ``BodyMotion.module_state``."""
+        """Return the state as ``BodyMotion.module_state`` does."""
         R, omega, alpha = self._box(np.asarray(times, dtype=np.float64))
         arms, reference = self._arms[segments], self._reference[segments]
         swept = np.cross(omega, arms)

@@ -64,7 +64,7 @@ class Voice:
     """Whether all of a body send as one, over one link."""
 
     def __init__(self, module: int, field_ut: float = 49.0) -> None:
-        """module: its number; field_ut: strength of the field that it was calibrated in, µT."""
+        """Speak as ``module``, which was calibrated in a field of ``field_ut``, µT."""
         self.module, self.field_ut = module, field_ut
         self.from_port = 0
         """UDP port that it sends from, and takes commands on; 0: any."""

@@ -57,7 +57,7 @@ WALKING_ROOT: list[tuple[int, float, float, float]] = [
 
 
 def walking_terms(segment: str) -> list[Term]:
-    """Terms of a segment's rotation against its parent, in its own axes."""
+    """Return the terms of a segment's rotation against its parent, in its own axes."""
     side, _, part = segment.partition("_")
     if side not in ("left", "right"):
         return _TRUNK.get(segment, _OTHER)

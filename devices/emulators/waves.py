@@ -26,7 +26,7 @@ class Fade:
     ramp_s: float = 1.5
 
     def evaluate(self, times: FloatArray) -> Derivatives:
-        """The fade and its derivatives at the given times (any shape), s."""
+        """Return the fade and its derivatives at the given times (any shape), s."""
         u = np.clip((times - self.rest_s) / self.ramp_s, 0.0, 1.0)
         v = 1.0 - u
         return Derivatives(
@@ -48,24 +48,24 @@ class Waves:
     phase: FloatArray  # (N, 3, K) rad
 
     def rows(self, rows: IntArray) -> Waves:
-        """The waves of some rows only, in that order."""
+        """Return the waves of some rows only, in that order."""
         return Waves(self.amplitude[rows], self.frequency[rows], self.phase[rows])
 
     def with_idle_row(self) -> Waves:
-        """One row more, which never moves."""
+        """Return one row more, which never moves."""
         idle = np.zeros((1, *self.amplitude.shape[1:]))
         return Waves(*(np.concatenate([x, idle]) for x in (self.amplitude, self.frequency, self.phase)))
 
     def scaled(self, amplitude: float, frequency: float) -> Waves:
-        """All amplitudes and all frequencies multiplied."""
+        """Return waves with all amplitudes and all frequencies multiplied."""
         return Waves(self.amplitude * amplitude, self.frequency * frequency, self.phase)
 
     def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
-        """The three components at ``times`` (T, N), each (T, N), with their derivatives."""
+        """Return the three components at ``times`` (T, N), each (T, N), with their derivatives."""
         return [self._component(axis, times, fade) for axis in range(3)]
 
     def heading(self, times: FloatArray) -> Derivatives:
-        """As the path of a root: it does not turn."""
+        """Return the heading of a root's path: it does not turn."""
         still = np.zeros_like(times)
         return Derivatives(still, still, still)
 
@@ -89,7 +89,7 @@ class Waves:
 
 
 def waves(n_rows: int, terms: list[tuple[int, int, float, float, float]]) -> Waves:
-    """Waves from a list of terms (row, component, amplitude, frequency in Hz, phase in rad)."""
+    """Return waves of a list of terms (row, component, amplitude, frequency in Hz, phase in rad)."""
     used: dict[tuple[int, int], int] = {}
     slots = []
     for row, axis, *_ in terms:

@@ -56,7 +56,7 @@ class Verdict:
         return not (self.raised or self.corrupt or self.lost)
 
     def line(self) -> str:
-        """The verdict in one line."""
+        """Return the verdict in one line."""
         word = "PASS" if self.is_good else "FAIL"
         return (
             f"{word}: {self.n_frames} wire frames ({self.n_damaged} damaged), {self.n_accepted} accepted, "
@@ -75,6 +75,7 @@ class _Tap:
         self._inner = frames
 
     def entries(self, chunk: bytes) -> list[Entry]:
+        """Pass on what the decoder completes, and keep it for the judgement."""
         passed = self._inner.entries(chunk)
         self.frames += passed
         return passed
@@ -92,7 +93,7 @@ class _Lane:
         self._n_blocks = 0
 
     def run_block(self, verdict: Verdict) -> None:
-        """Sends one block through the decoder and judges what comes out."""
+        """Send one block through the decoder and judge what comes out."""
         traffic = self._source.block()
         self._tap.frames = []
         packets: list[ReceivedPacket] = []
@@ -131,7 +132,7 @@ def run(
     byte_stream: Callable[[], WireFrameDecoder] = FrameDecoder,
     can: Callable[[], WireFrameDecoder] = CanFrameDecoder,
 ) -> Verdict:
-    """Sends ``n_frames`` or a few more, half on a byte stream and half on a CAN bus."""
+    """Send ``n_frames`` or a few more, half on a byte stream and half on a CAN bus."""
     lanes = (
         _Lane("byte stream", ByteStream(Random(f"bytes {seed}")), byte_stream()),
         _Lane("CAN", CanBus(Random(f"CAN {seed}")), can()),
@@ -147,7 +148,7 @@ def run(
 
 
 def main() -> None:
-    """Runs a campaign from the command line."""
+    """Run a campaign from the command line."""
     parser = argparse.ArgumentParser(prog="python -m devices.emulators.wire_campaign", description=__doc__)
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=1)

@@ -40,7 +40,7 @@ class ByteStream:
         self._is_delimited = True  # the bytes so far end with a delimiter
 
     def block(self) -> Traffic:
-        """The next block."""
+        """Return the next block."""
         traffic, rng = Traffic(), self._rng
         frames = self._source.frames(BLOCK_SIZE)
         traffic.sent = {frame.module_time_us: frame for frame in frames}
@@ -92,9 +92,10 @@ BYTE_DAMAGES: tuple[Callable[[Random, bytes, bytes], list[bytes]], ...] = (
 
 
 def turn_bits(rng: Random, data: bytes, start: int, stop: int) -> bytes:
-    """``data`` with one to eight bits turned among the bytes from ``start`` to ``stop``."""
+    """Return ``data`` with one to eight bits flipped among the bytes from ``start`` to ``stop``."""
     turned = bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 8))):
+        # Two flips of one bit are none: then draw again, as what is called damaged must be.
         turned[rng.randrange(start, stop)] ^= 1 << rng.randrange(8)
     return bytes(turned) if turned != data else turn_bits(rng, data, start, stop)
 
@@ -107,7 +108,7 @@ class CanBus:
         self._source = Source(rng, largest=245)
 
     def block(self) -> Traffic:
-        """The next block."""
+        """Return the next block."""
         traffic, rng = Traffic(), self._rng
         frames = self._source.frames(BLOCK_SIZE)
         traffic.sent = {frame.module_time_us: frame for frame in frames}
@@ -129,7 +130,7 @@ class CanBus:
     def _chunk(
         self, frames: list[WireFrame], records: list[list[bytes]], traffic: Traffic
     ) -> tuple[bytes, list[int]]:
-        """One chunk, and the module times of the wire frames in it that must come through."""
+        """Return one chunk, and the module times of the wire frames in it that must come through."""
         rng = self._rng
         stream: list[bytes] = []
         intact: list[int] = []
@@ -149,7 +150,7 @@ class CanBus:
 
 
 def _interleaved(rng: Random, one: list[bytes], other: list[bytes]) -> list[bytes]:
-    """The records of two wire frames, of which neither is the worse for it."""
+    """Return the records of two wire frames interleaved, which must damage neither."""
     turns = rng.sample([0] * len(one) + [1] * len(other), len(one) + len(other))
     queues = iter(one), iter(other)
     return [next(queues[turn]) for turn in turns]

@@ -34,7 +34,7 @@ class Source:
         ]
 
     def frames(self, n: int) -> list[WireFrame]:
-        """The next ``n``."""
+        """Return the next ``n`` frames."""
         rng, frames = self._rng, []
         for _ in range(n):
             kind, body = rng.choice(self._bodies)
@@ -55,7 +55,7 @@ def _batch_body(rng: Random, bodies: Sequence[tuple[int, bytes]], size: int) -> 
 
 
 def _body(rng: Random, kind: int) -> bytes:
-    """A body that is good: every value within its limits."""
+    """Return a body that is good: every value within its limits."""
     layout = layout_of(PACKETS[kind])
     mask = rng.choice(layout.valid_masks())
     elements: list[Any] = [mask] if layout.has_mask else []

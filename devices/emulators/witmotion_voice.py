@@ -94,7 +94,7 @@ class WitMotionCanVoice(WitMotionVoice):
     shares_bus = True
 
     def __init__(self, module: int, field_ut: float = 49.0, identifier: int = IDENTIFIER) -> None:
-        """identifier: of its frames."""
+        """Speak under the ``identifier`` of CAN frames."""
         super().__init__(module, field_ut)
         self.registers |= {REGISTERS_BY_NAME["baud"].address: _CAN_BAUD, _ADDRESS: identifier}
 

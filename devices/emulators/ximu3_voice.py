@@ -42,7 +42,7 @@ class Ximu3Voice(Voice):
     """Samples of the magnetometer come by themselves, 20 a second; battery and signal every second."""
 
     def __init__(self, module: int, field_ut: float = 49.0, receive_port: int = COMMAND_PORT) -> None:
-        """receive_port: UDP port on which it takes commands."""
+        """Speak, and take commands on UDP port ``receive_port``."""
         super().__init__(module, field_ut)
         self.from_port = receive_port
         serial = f"{0x65570000 + module:08X}"

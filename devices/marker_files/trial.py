@@ -42,7 +42,7 @@ class MarkerTrial:
         return self.n_frames / self.rate_hz
 
     def columns(self, labels: tuple[str, ...]) -> FloatArray:
-        """Return the named points (F, len(labels), 3), m; NaN columns for those that the trial does not have."""
+        """Return the named points (F, len(labels), 3), m; NaN columns for those that the trial lacks."""
         chosen = np.full((self.n_frames, len(labels), 3), np.nan)
         # Of two points with one label the first counts: read backwards, it is the one that stays.
         index = {label: i for i, label in reversed(list(enumerate(self.labels)))}

@@ -64,7 +64,7 @@ def checked_rate(rate_hz: float, path: Path) -> float:
 def spread(
     index: IntArray, times: FloatArray, values: FloatArray, path: Path
 ) -> tuple[FloatArray, FloatArray]:
-    """Return times (m,) and values (m, k) with a row of NaN for every number that ``index`` (n,) leaves out."""
+    """Return times (m,) and values (m, k) with a row of NaN for every number missing in ``index`` (n,)."""
     at = index - index[0]
     length = int(at[-1]) + 1
     if length > _MOST_GAPS * len(at) + 1000:

@@ -122,7 +122,7 @@ def _command(folder: Path) -> dict[str, object]:
 
 
 def _label(folder: Path) -> str:
-    """Return the folder's name without serial number and interface, as users set it; else the module's own."""
+    """Return the folder's name without serial number and interface, as users set it, or the module's own."""
     named = _SERIAL.sub("", folder.name).strip()
     ping = _command(folder).get("ping")
     own = ping.get("name") or ping.get("deviceName") if isinstance(ping, dict) else None

@@ -134,7 +134,7 @@ def orientation_columns(sheet: Sheet) -> list[str]:
 
 
 def turned(values: FloatArray, world_deg: float = NORTH_WEST_UP_DEG) -> FloatArray:
-    """Return orientations (n, 4) to east-north-up, of quaternions (n, 4) or matrices (n, 9); NaN for no rotation.
+    """Return orientations (n, 4) to east-north-up, of quaternions (n, 4) or matrices (n, 9); else NaN.
 
     world_deg: turn about z that takes the file's world to east-north-up.
     """

@@ -22,7 +22,7 @@ class CanBusTransport:
     framing = Framing.CAN
 
     def __init__(self, channel: str, interface: str = "virtual", **bus_options: Any) -> None:
-        """bus_options: handed to ``can.Bus``, for instance ``fd=True`` on SocketCAN."""
+        """Prepare a bus; ``bus_options`` go to ``can.Bus``, for instance ``fd=True`` on SocketCAN."""
         self._options = {"channel": channel, "interface": interface, **bus_options}
         self._bus: can.BusABC | None = None
         self._rest: deque[CanFrame] = deque()

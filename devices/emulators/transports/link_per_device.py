@@ -12,7 +12,7 @@ class LinkPerDevice:
     """Several transports as one: what a device sends goes by its own."""
 
     def __init__(self, links: Mapping[int, Transport]) -> None:
-        """links: by number of the device, all of one framing."""
+        """Join links, by number of the device, all of one framing."""
         self.links = links
         self.framing = next(iter(links.values())).framing
         self._each = list(dict.fromkeys(links.values()))

@@ -10,7 +10,7 @@ class MemoryTransport:
     """Collects chunks with the gateway time at which they were offered."""
 
     def __init__(self, framing: Framing = Framing.BYTE_STREAM, capacity: int | None = None) -> None:
-        """capacity: refuse further chunks once so many are held (None: never)."""
+        """Hold chunks; refuse further ones once ``capacity`` are held (None: never)."""
         self.framing = framing
         self.chunks: list[tuple[int, bytes]] = []
         """Gateway time (ns) and bytes, in order."""
@@ -23,7 +23,7 @@ class MemoryTransport:
         return ""
 
     async def open(self) -> None:
-        """Nothing to open."""
+        """Do nothing: there is nothing to open."""
 
     def offer(self, data: bytes) -> bool:
         """Keep data, unless the capacity is used up."""
@@ -42,4 +42,4 @@ class MemoryTransport:
         self._on_receive(data)
 
     async def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing: there is nothing to close."""

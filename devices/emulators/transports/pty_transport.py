@@ -27,7 +27,7 @@ class PtyTransport:
     framing = Framing.BYTE_STREAM
 
     def __init__(self, link_path: str | Path | None = None) -> None:
-        """link_path: where to put a symbolic link to the slave side, so that its name is known beforehand."""
+        """Prepare; ``link_path`` is where a symbolic link to the slave side goes, to give it a fixed name."""
         self.path = ""
         """Path of the slave side (the symbolic link if one was asked for), once open."""
         self._link_path = None if link_path is None else Path(link_path)
@@ -102,7 +102,7 @@ class PtyTransport:
             await asyncio.sleep(_POLL_INTERVAL_S)
 
     def _look(self) -> bool:
-        """Whether there is a reader; takes in what it wrote."""
+        """Return whether there is a reader; take in what it wrote."""
         events = self._poll.poll(0)
         state = events[0][1] if events else 0
         if state & select.POLLIN:
@@ -120,7 +120,7 @@ class PtyTransport:
             self._rest = self._rest[self._write(self._rest) :]
 
     def _write(self, data: bytes) -> int:
-        """How many bytes went out."""
+        """Write what fits; return how many bytes went out."""
         try:
             return os.write(self._master, data)
         except OSError:  # full, or the reader has just gone

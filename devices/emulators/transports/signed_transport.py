@@ -17,13 +17,13 @@ class _Ends:
     """The signing end of each device: all begin at 0, as modules do that have no clock and store nothing."""
 
     def __init__(self, key_file: Path) -> None:
-        """Raises ValueError as ``read_key``."""
+        """Read the key. Raises ``ValueError`` as ``read_key`` does."""
         self.parameter = f"?key_file={quote(str(key_file.absolute()))}"
         self._key = read_key(key_file)
         self._of_devices: dict[int | None, SignedFrames] = {}
 
     def of(self, device: int | None) -> SignedFrames:
-        """That of a device by its number; None: of whoever speaks for all."""
+        """Return the frames of a device by its number; None: of whoever speaks for all."""
         number = RELAY if device is None else device
         return self._of_devices.setdefault(device, SignedFrames(self._key, signer=number + 1))
 
@@ -32,7 +32,7 @@ class SignedTcpTransport(TcpTransport):
     """The whole suit behind one connection, signed."""
 
     def __init__(self, key_file: Path, port: int = 0, host: str = "127.0.0.1") -> None:
-        """Raises ValueError as ``read_key``."""
+        """Prepare to listen, with a key. Raises ``ValueError`` as ``read_key`` does."""
         super().__init__(port, host)
         self._ends = _Ends(key_file)
         self._partial = b""
@@ -59,7 +59,7 @@ class SignedUdpTransport(UdpTransport):
     """Each device from an address of its own, and as a signer of its own."""
 
     def __init__(self, key_file: Path, port: int, host: str = "127.0.0.1") -> None:
-        """Raises ValueError as ``read_key``."""
+        """Prepare to send, with a key. Raises ``ValueError`` as ``read_key`` does."""
         super().__init__(port, host)
         self._ends = _Ends(key_file)
 

@@ -23,7 +23,7 @@ class SlcanTransport:
     framing = Framing.CAN
 
     def __init__(self, link_path: str | Path | None = None) -> None:
-        """link_path: as in ``PtyTransport``."""
+        """Prepare an adapter; ``link_path`` as in ``PtyTransport``."""
         self.is_channel_open = False
         self.commands: list[bytes] = []
         """What the host asked for, without the carriage returns, frames to be sent not included."""

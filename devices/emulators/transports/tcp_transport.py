@@ -20,7 +20,7 @@ class TcpTransport:
     framing = Framing.BYTE_STREAM
 
     def __init__(self, port: int = 0, host: str = "127.0.0.1") -> None:
-        """port: 0 takes a free one."""
+        """Prepare to listen; port 0 takes a free one."""
         self.host = host
         self.port = port
         """Port listened on, once open."""
@@ -62,12 +62,12 @@ class TcpTransport:
             client.close()
 
     def joined(self, client: asyncio.Transport) -> None:
-        """A client has connected."""
+        """Count a client that has connected."""
         self.connections_made += 1
         self._clients.add(client)
 
     def left(self, client: asyncio.Transport) -> None:
-        """A client has gone."""
+        """Forget a client that has gone."""
         self._clients.discard(client)
 
 
@@ -76,12 +76,15 @@ class _Client(asyncio.Protocol):
         self._server = server
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Report a client to the server."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         self._server.joined(transport)
 
     def data_received(self, data: bytes) -> None:
+        """Hand the client's bytes on."""
         self._server.on_receive(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
+        """Report to the server that the client is gone."""
         self._server.left(self._transport)

@@ -11,12 +11,12 @@ class OnReceive(Protocol):
     """Takes what the host has sent: bytes in any chunks, or whole CAN records, as the framing says."""
 
     def __call__(self, data: bytes, device: int | None = None, /) -> None:
-        """device: number of the one that it came to; None: to all on the link."""
+        """Take bytes of the host; ``device`` is the one that they came to, None: all on the link."""
         ...
 
 
 def ignore(data: bytes, device: int | None = None, /) -> None:
-    """What is done with the host's bytes while nobody listens."""
+    """Discard the host's bytes while nobody listens."""
 
 
 class Transport(Protocol):
@@ -34,15 +34,18 @@ class Transport(Protocol):
         """What a gateway's link is to be called to read this (``devices.endpoints``); empty until open."""
         ...
 
-    async def open(self) -> None: ...
+    async def open(self) -> None:
+        """Open the transport, for gateways to connect to."""
 
-    def offer(self, data: bytes) -> bool: ...
+    def offer(self, data: bytes) -> bool:
+        """Send bytes if the reader takes them now; return whether it did."""
 
     def listen(self, on_receive: OnReceive) -> None:
         """Hand on what the host sends, in the event loop, within a few milliseconds."""
         ...
 
-    async def close(self) -> None: ...
+    async def close(self) -> None:
+        """Close the transport."""
 
 
 @runtime_checkable
@@ -50,5 +53,5 @@ class DatagramTransport(Transport, Protocol):
     """One on which each device has an address of its own, and each transmission is a datagram."""
 
     def offer_from(self, device: int | None, data: bytes) -> bool:
-        """As ``offer``, from a device by its number; None: from somebody who is none of them."""
+        """Send as ``offer``, from a device by its number; None: from somebody who is none of them."""
         ...

@@ -17,7 +17,7 @@ class UdpTransport:
     framing = Framing.BYTE_STREAM
 
     def __init__(self, port: int, host: str = "127.0.0.1", from_port: int = 0) -> None:
-        """port: of the gateway; from_port: of the device, where there is one alone; 0: any."""
+        """Send to the gateway's ``port``; ``from_port`` is the device's, where there is one alone; 0: any."""
         self.host = host
         self._from_port = from_port
         self.port = port
@@ -31,11 +31,11 @@ class UdpTransport:
         return f"udp://{self.host}:{self.port}" if self._is_open else ""
 
     async def open(self) -> None:
-        """Sockets are opened as devices begin to send."""
+        """Begin; sockets are opened as devices begin to send."""
         self._is_open = True
 
     def offer(self, data: bytes) -> bool:
-        """Of no device: nothing is held back, so that there is nothing to move on."""
+        """Send from no device; without bytes nothing is held back, and so there is nothing to move on."""
         return not data or self.offer_from(None, data)
 
     def offer_from(self, device: int | None, data: bytes) -> bool:
