@@ -153,7 +153,7 @@ class PlannedAngles:
         stride_s: float,
         nodes: IntArray | None = None,
     ) -> None:
-        """Hold coefficients (6, K, N, 3) of powers from the knots (K,) on, highest first; the last one recurs.
+        """Hold coefficients (6, K, N, 3) of powers from knots (K,) on, highest first; the last one recurs.
 
         rest_s: until then the legs are at rest. nodes: the rows that are meant, in that order; default: all.
         """

@@ -184,12 +184,15 @@ def sensors(
         sensors=_chosen_sensors(only),
         has_levelled_cube=cube,
     )
+
     found = asyncio.run(_calibrate(suit, links, worn, session, seconds, flash, poor, as_json))
     kept = {module: usable(results, poor) for module, results in found.items()}
     if as_json:
         typer.echo(json.dumps(results_as_json(found)))
     else:
         Console().print(result_table(found))
+
+    # Sensors without a usable result keep the calibration that the rig has.
     calibrations = {m: combined(r, worn.calibrations.get(m)) for m, r in kept.items() if r}
     dip_deg = session.dip_deg({m: each for m, each in calibrations.items() if "magnetometer" in kept[m]})
     if dip_deg is not None:

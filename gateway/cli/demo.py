@@ -131,8 +131,6 @@ def demo(
     """
     from devices.emulators.imperfections import PRESETS
     from gateway.body.rig import load_rig
-    from gateway.doctor.inside import examined
-    from gateway.service.service import Service
 
     # However it is ended, also in the background of a script, the emulated suit and the page end with it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -141,38 +139,61 @@ def demo(
     suit = load_rig(rig)
     truth, is_interrupted = Truth(suit), True
     with tempfile.TemporaryDirectory(prefix="mocap-demo-") as folder, contextlib.suppress(KeyboardInterrupt):
-        settings = GatewaySettings(
-            gateway=GATEWAY,
-            links=[LinkSettings(name="suit", url=f"{folder}/suit")],
-            rig=rig,
-            reconstructor=reconstructor or GatewaySettings.model_fields["reconstructor"].default,
-            clock=ClockSettings(mode=clock),
-            mqtt=MqttSettings(
-                broker="embedded",
-                port=_free_port(port),
-                websocket_port=websocket_port,
-                include=frozenset({PoseMap.POSITION}),
-            ),
-        )
+        ports = _free_port(port), websocket_port
+        settings = _demo_settings(f"{folder}/suit", rig, reconstructor, clock, ports)
         tell = partial(console.print, style="dim")
         usual = settings.reconstructor
         if reconstructor is None:
             settings = _startable(settings, tell)
-        with report_compiling(tell):
-            awaited = usual if settings.reconstructor != usual else None
-            service = Service(settings, suit, awaited=awaited)
-        service.own_requests.on_examine = partial(examined, service)
+        service = _demo_service(settings, suit, usual, tell)
+
         with contextlib.ExitStack() as beside:
             beside.enter_context(_live_page(settings, _free_port(page_port) if page else None, console))
             running = _run(service, settings, truth, imperfections, None if keep else seconds, beside)
             asyncio.run(running)
         is_interrupted = False
+
     if is_interrupted and not truth.n_poses:
         console.print("ended before the first pose came", style="dim")
     else:
         _print_errors(truth, console)
         if note := truth.busy_note(service.pipeline.stream, PRESETS[imperfections].loss):
             console.print(note, style="yellow", highlight=False)
+
+
+def _demo_settings(
+    link: str, rig: str, reconstructor: str | None, clock: ClockMode, ports: tuple[int, int | None]
+) -> GatewaySettings:
+    """Return the settings of a gateway on ``link`` with its own broker; ports: of MQTT, of WebSockets."""
+    return GatewaySettings(
+        gateway=GATEWAY,
+        links=[LinkSettings(name="suit", url=link)],
+        rig=rig,
+        reconstructor=reconstructor or GatewaySettings.model_fields["reconstructor"].default,
+        clock=ClockSettings(mode=clock),
+        mqtt=MqttSettings(
+            broker="embedded",
+            port=ports[0],
+            websocket_port=ports[1],
+            include=frozenset({PoseMap.POSITION}),
+        ),
+    )
+
+
+def _demo_service(
+    settings: GatewaySettings, suit: WornSuit, usual: str, tell: Callable[[str], object]
+) -> Service:
+    """Return the service, not yet running, whose health can be asked for over MQTT as with ``run``.
+
+    usual: the method that poses come from once it is compiled, if that of the settings is another one.
+    """
+    from gateway.doctor.inside import examined
+    from gateway.service.service import Service
+
+    with report_compiling(tell):
+        service = Service(settings, suit, awaited=usual if settings.reconstructor != usual else None)
+    service.own_requests.on_examine = partial(examined, service)
+    return service
 
 
 def _startable(settings: GatewaySettings, tell: Callable[[str], object]) -> GatewaySettings:

@@ -23,6 +23,7 @@ from gateway.settings import MAX_DELAY_MS, check_method
 
 if TYPE_CHECKING:
     from gateway.batch.job import Job, Outcome
+    from gateway.batch.manifest import Manifest
     from gateway.recording.exporters.take import Take
 
 
@@ -79,6 +80,7 @@ def export(
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell:
         recording = open_recording(file)
         arrays = smoothed_arrays(recording, tell) if smooth else recording.skeleton_arrays(tell)
+
     takes: dict[Axes, Take] = {}
     written = []
     with progress_bar("writing", is_shown=not as_json) as tell:
@@ -87,10 +89,12 @@ def export(
             kind = FORMATS[name]
             wanted = axes or kind.axes
             if wanted not in takes:
+                # Resampling takes longer than writing: formats with the same axes share one take.
                 takes[wanted] = replace(take_of(arrays, file.stem, wanted, recording), mass_kg=mass)
             per_m = kind.units_per_m if unit is None else units_per_m(unit)
             kind.write(takes[wanted], path, per_m)
             written.append(_summary_of(name, path, takes[wanted], per_m))
+
     if mass is None and any(name == "osim" for name in to):
         typer.echo("note: masses of the .osim are those of 75 kg: tell the person's with --mass", err=True)
     if as_json:
@@ -218,7 +222,7 @@ def batch(
     """
     from gateway.batch.job import Task
     from gateway.batch.manifest import Manifest
-    from gateway.batch.running import jobs_in, run_jobs
+    from gateway.batch.running import jobs_in
     from gateway.body.rig import load_rig
     from gateway.recording.snapshot import encode_suit
     from gateway.report.elements import require_matplotlib
@@ -236,22 +240,12 @@ def batch(
         delay_ms=delay_ms,
         smooth=smooth,
     )
+
     results = output or folder.resolve().with_name(f"{folder.resolve().name}_batch")
     jobs = jobs_in(folder, results, task)
     manifest = Manifest(results)
     due = [job for job in jobs if again or not manifest.is_done(job)]
-    outcomes: list[Outcome] = []
-    bar = progress_bar(f"{len(due)} recordings", is_shown=not as_json)
-    with contextlib.suppress(KeyboardInterrupt), bar as tell:
-        tell(0, len(due))
-
-        def done(job: Job, outcome: Outcome) -> None:
-            manifest.add(job, outcome)
-            outcomes.append(outcome)
-            tell(len(outcomes), len(due))
-
-        run_jobs(due, done, workers, dask)
-    manifest.close()
+    outcomes = _run_due(due, manifest, workers, dask, is_shown=not as_json)
     if len(outcomes) < len(due):
         left = len(due) - len(outcomes)
         typer.echo(
@@ -259,6 +253,28 @@ def batch(
         )
         raise typer.Exit(INTERRUPTED)
     _tell_outcomes(outcomes, len(jobs) - len(due), results, as_json)
+
+
+def _run_due(
+    due: list[Job], manifest: Manifest, workers: int | None, dask: str | None, *, is_shown: bool
+) -> list[Outcome]:
+    """Run jobs with a progress bar, and close the manifest; return the outcomes, fewer after Ctrl-C."""
+    from gateway.batch.running import run_jobs
+
+    outcomes: list[Outcome] = []
+    bar = progress_bar(f"{len(due)} recordings", is_shown=is_shown)
+    with contextlib.suppress(KeyboardInterrupt), bar as tell:
+        tell(0, len(due))
+
+        def done(job: Job, outcome: Outcome) -> None:
+            # Into the manifest at once: what is finished stays finished, however the batch ends.
+            manifest.add(job, outcome)
+            outcomes.append(outcome)
+            tell(len(outcomes), len(due))
+
+        run_jobs(due, done, workers, dask)
+    manifest.close()
+    return outcomes
 
 
 def _tell_outcomes(outcomes: list[Outcome], skipped: int, results: Path, as_json: bool) -> None:

@@ -98,32 +98,28 @@ class Service:
         config: the file that the settings come from.
         """
         settings = fitting_suit(settings, suit)
+        self.settings = settings
         self.others = others
         self._handed: dict[str, list[HandedLink]] = {}
-        self.settings = settings
         self.begun = asyncio.Event()
         """Whether all that could keep it from running is open."""
         self.links = (
             links if links is not None else _links_of(settings, self._note_link, lambda: self.mqtt.port)
         )
+
         self.pipeline = Pipeline.from_settings(settings, suit)
         self._carries = {link.name: link.carries for link in settings.links}
         contents = {name: of for link in self.links for name, of in self._contents_of(link).items()}
         for name, content in contents.items():
             self.pipeline.expect(name, content)
+
         self.recording = RecordingControl(
             settings, suit, contents, self.pipeline.statistics, self.pipeline.modules.restarts
         )
         self._records_at_start = settings.recording.at_start
         info = _describe(settings, suit, awaited)
-        self.side = SideOutputs(
-            settings.outputs,
-            suit.skeleton,
-            settings.gateway,
-            settings.assembly.rate_hz,
-            self._least_charge,
-            lambda topic, payload: self.mqtt.publish_beside(topic, payload),  # noqa: PLW0108 - made below
-        )
+
+        self.side = self._side_outputs(suit)
         self.mqtt = MqttOutput(
             settings.mqtt,
             suit.skeleton,
@@ -133,30 +129,21 @@ class Service:
             suit.marker_labels,
         )
         self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
+
         self.load = LoadWatch()
-        self.observer = Observer(
-            settings,
-            suit,
-            info,
-            self.pipeline,
-            self.links,
-            self.mqtt,
-            self.side,
-            balances=self.balances,
-            load=self.load,
-        )
+        parts = self.pipeline, self.links, self.mqtt, self.side
+        self.observer = Observer(settings, suit, info, *parts, balances=self.balances, load=self.load)
         self.failed_chunks = 0
         """Chunks that a defect of ours kept from being handled."""
         self._ingesting: list[asyncio.Task[None]] = []
+
         stream = self.pipeline.stream
         commanded = [link for link in self.links if self._takes_commands(link)]
         self.commands = CommandClient(commanded, allow_writes=settings.allow_device_writes)
         self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
-        streams = [link for link in settings.links if isinstance(link, OthersLinkSettings)]
-        unworn = {number for link in streams for number in {*link.modules} - {*link.own_numbers}}
-        self._strangers = Strangers(stream, suit, unworn)
+        self._strangers = Strangers(stream, suit, _unworn(settings))
         self._makers = MakersModules(self._note_sent)
         operations = ModuleOperations(
             stream, self.commands, suit, Journal(default_journal_path()), self._makers
@@ -164,13 +151,35 @@ class Service:
         sender = HostSender(self._note_sent, senders=stream.senders)
         self._announced: list[Link] = []  # to the pipeline, and with somebody who takes commands
         self._askers = list(_askers(settings, self._announced, sender, stream))
+
         self.own_requests = OwnRequests(self.mqtt)
         rig = KeptRig(settings.rig, config)
         self.calibration = CalibrationControl(
             self.pipeline, rig, self._calibrated, lambda: self.own_requests.perform("reload", {})
         )
-        sensors = SensorControl(lambda: self.pipeline.suit, rig, stream, self._makers, operations)
         self.shelf = Shelf(settings.recording, lambda: self.recording.file)
+        self.requests = self._responder(operations, rig)
+
+    def _side_outputs(self, suit: WornSuit) -> SideOutputs:
+        """Return the outputs beside MQTT."""
+        settings = self.settings
+        return SideOutputs(
+            settings.outputs,
+            suit.skeleton,
+            settings.gateway,
+            settings.assembly.rate_hz,
+            self._least_charge,
+            lambda topic, payload: self.mqtt.publish_beside(topic, payload),  # noqa: PLW0108 - made later
+        )
+
+    def _responder(self, operations: ModuleOperations, rig: KeptRig) -> RequestResponder:
+        """Return what answers requests over MQTT, family by family.
+
+        Families that change one thing (a recording, a calibration) take their requests in turn.
+        """
+        sensors = SensorControl(
+            lambda: self.pipeline.suit, rig, self.pipeline.stream, self._makers, operations
+        )
         families = {
             "gateway": self.own_requests.perform,
             "modules": operations.perform,
@@ -179,7 +188,7 @@ class Service:
             "sensors": in_turn(sensors.perform),
             "reset": in_turn(ResetControl(self._apply_event).perform),
         }
-        self.requests = RequestResponder(settings.mqtt, settings.gateway, families)
+        return RequestResponder(self.settings.mqtt, self.settings.gateway, families)
 
     @property
     def can_flow(self) -> bool:
@@ -517,6 +526,12 @@ def _links_of(
         else ReconnectingLink(link, on_change=functools.partial(on_change, link.name))
         for link in links
     ]
+
+
+def _unworn(settings: GatewaySettings) -> set[int]:
+    """Return the numbers that streams of whole bodies may bring although the rig has no such module."""
+    streams = [link for link in settings.links if isinstance(link, OthersLinkSettings)]
+    return {number for link in streams for number in {*link.modules} - {*link.own_numbers}}
 
 
 def _askers(

@@ -92,29 +92,22 @@ class LiveViewer:
         self._drawn: ReceivedPose | None = None
         self._was_stale = False
         self._was_red: frozenset[str] = frozenset()
+
         self._body: BodyMessage | None = None
         self._scene: BodyScene | None = None
         self._keeper: PostureKeeper | None = None
         self._worn: frozenset[str] = frozenset()
         self._requests: set[concurrent.futures.Future[None]] = set()
+
         self._stage = Stage(server)
         self._markers = LiveMarkers(server, self._stage)
         self._trail = Trail(server, self._stage)
         self._instant: MarkerInstant | None = None
-        self._panel = Panel(
-            server,
-            ()
-            if not may_write
-            else (
-                ButtonRow(
-                    "recording", ("start", "stop", "mark"), lambda verb: self._ask("recording", verb, {})
-                ),
-                ButtonRow("reset", RESETS, lambda kind: self._ask("reset", kind, {})),
-            ),
-            self._stage,
-        )
+
+        self._panel = Panel(server, self._buttons() if may_write else (), self._stage)
         self._panel.on_language(self._markers.speak)
         self._panel.on_language(self._speak_of_muscles)
+
         self._losses = RecentLosses()
         self._recording = RecordingStatus()
         self._replayed: ReplayedTake | None = None
@@ -123,6 +116,13 @@ class LiveViewer:
         self._body_steps: BodySteps | None = None
         if may_write:
             self._add_assistant(server)
+
+    def _buttons(self) -> tuple[ButtonRow, ...]:
+        """Return the buttons that ask something of the gateway."""
+        return (
+            ButtonRow("recording", ("start", "stop", "mark"), lambda verb: self._ask("recording", verb, {})),
+            ButtonRow("reset", RESETS, lambda kind: self._ask("reset", kind, {})),
+        )
 
     def _add_assistant(self, server: viser.ViserServer) -> None:
         """Add the tabs that lead from nothing to a recording, in the order of their steps."""

@@ -41,6 +41,7 @@ class BodyScene:
         n, n_bones = skeleton.n_segments, len(bones.segment)
         identity, origin = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
         scene = server.scene
+
         self._bodies = scene.add_batched_meshes_simple(
             f"{_BODY}/bones",
             BONE_VERTICES,
@@ -54,6 +55,7 @@ class BodyScene:
             cast_shadow=False,
             receive_shadow=False,
         )
+
         self._sides = [side_of(name) for name in skeleton.segment_names]
         mannequin = mannequin_of(skeleton)
         self._figure = None if mannequin is None else Figure(server, mannequin)
@@ -64,6 +66,7 @@ class BodyScene:
         """A segment whose name is shown."""
         self.shows_bones = mannequin is None
         self._bodies.visible = self.shows_bones
+
         self._axes = scene.add_batched_axes(
             f"{_BODY}/axes",
             np.tile(identity, (n, 1)),
@@ -76,6 +79,7 @@ class BodyScene:
             scene.add_label(f"{_BODY}/names/{name}", name, visible=False, anchor="bottom-left")
             for name in skeleton.segment_names
         ]
+
         self._colours = np.zeros((0, 3), np.uint8)
         self.shows_names = False
         self.language = ENGLISH
