@@ -35,6 +35,7 @@ def balances_of(
 ) -> list[Balance]:
     """Return all balances of a pipeline, its outputs and links (by name) and the recording, if there is
     one."""
+    # Every balance has the same form: a total, and parts that must add up to it.
     balances = pipeline.balances()
     for name, counters in (outputs or {}).items():
         parts = {

@@ -48,6 +48,7 @@ def _settings_of(settings: GatewaySettings, body: BodySettings) -> GatewaySettin
         for link in settings.links
         if link.carries == "markers"
     ]
+    # What belongs to the whole set-up stays with the first person's service: two could not bind one port.
     kept = settings.recording
     name = body.name if kept.name is None else f"{kept.name}_{body.name}"
     changes = {
@@ -58,6 +59,7 @@ def _settings_of(settings: GatewaySettings, body: BodySettings) -> GatewaySettin
         "outputs": OutputsSettings(),
         "metrics": MetricsSettings(),
         "recording": kept.model_copy(update={"name": name}),
+        # A broker hangs up on the older of two connections with one client id.
         "mqtt": settings.mqtt.model_copy(update={"client_id": None}),
     }
     return settings.model_copy(update=changes)

@@ -39,6 +39,7 @@ class HostSender:
         within_ns: when the write took longer, the stamp does not say when the frame left: not noted either.
         """
         data = host_bytes(frame, link.framing)
+        # Stamped before the write: a write may return late, but the bytes leave at once.
         sent_ns = self._clock_ns()
         try:
             async with asyncio.timeout(_SEND_TIMEOUT_S):
@@ -46,6 +47,7 @@ class HostSender:
         except (LinkError, TimeoutError) as error:
             log.debug("not sent over %s: %s", link.name, error)
             return None
+        # A system that held the bytes back makes the stamp wrong, and a wrong stamp is worse than none.
         if within_ns is not None and self._clock_ns() - sent_ns > within_ns:
             return None
         sent = SentChunk(data, sent_ns, link.name)

@@ -165,6 +165,7 @@ def _modules(modules: Sequence[ModuleState]) -> Iterator[Metric]:
         for length, count in module.gaps.items():
             gaps.add_metric((*_labels(module), length), count)
     yield from (online, gaps)
+
     for name, text in _PER_MODULE_COUNTERS.items():
         counter = CounterMetricFamily(f"mocap_module_{name}", text, labels=_MODULE)
         for module in modules:

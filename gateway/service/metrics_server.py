@@ -217,6 +217,8 @@ class _Handler(BaseHTTPRequestHandler):
             elif path == "/metrics":
                 self._answer(HTTPStatus.OK, *self.owner.metrics(self.headers.get("Accept", "")))
             elif path == "/healthz":
+                # Whoever has no token learns whether the gateway is well, as a watchdog must, and nothing
+                # else.
                 health = self.owner.health()
                 self._answer_json(HTTPStatus.OK, health if self._may_read else {"status": health["status"]})
             else:
@@ -225,6 +227,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer_json(
                 HTTPStatus.SERVICE_UNAVAILABLE, {"error": "too many connections of this address"}
             )
+        # An event loop that is blocked cannot say so itself: its silence is the answer.
         except (NoAnswer, RuntimeError):
             stuck = {"status": "stuck", "error": f"the gateway has not answered for {PATIENCE_S:g} s"}
             self._answer_json(HTTPStatus.SERVICE_UNAVAILABLE, stuck)

@@ -65,6 +65,7 @@ class Observer:
         self._side = side
         self._utc_ns = utc_ns
         self._balances = balances
+
         self._left_over: dict[str, int] = {}
         self._anchors = AnchorWatch()
         self._states = ModuleStates(
@@ -75,6 +76,7 @@ class Observer:
             late=pipeline.module_stage.assembler.late,
             doubts=pipeline.module_stage.doubts,
         )
+
         if settings.metrics.port is not None:
             self.metrics = MetricsServer(
                 settings.metrics.host,

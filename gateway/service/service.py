@@ -266,6 +266,7 @@ class Service:
                 self.recording.start()
             self.begun.set()
             self.requests.start(self.mqtt.port)
+            # Each is restarted should it fail: a broken report must not end the poses.
             companions = [
                 asyncio.create_task(kept_running("the report", self._report), name="report"),
                 asyncio.create_task(kept_running("the load", self._watch_load), name="load"),
@@ -285,10 +286,12 @@ class Service:
                 asyncio.create_task(_run_beside(other), name=other.settings.gateway)
                 for other in self._other_services()
             ]
+
             try:
                 await first_to_end(self._ingest_all(), self.mqtt.until_name_is_taken())
                 await self._until_others_are_done()
             finally:
+                # First what may still use the outputs, then the recording, so that its last event is the end.
                 for companion in (*companions, *others):
                     companion.cancel()
                 await asyncio.gather(*others, return_exceptions=True)
@@ -503,6 +506,7 @@ class Service:
                 "broker connected" if self.mqtt.is_connected else "NO BROKER",
                 self.mqtt.counters.dropped,
             )
+
             frames_before = frames
             if (news := self._strangers.news()) is not None:
                 log.warning("%s", news)
