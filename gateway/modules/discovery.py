@@ -26,6 +26,7 @@ async def discovered(seconds: float, host: str = EVERYWHERE) -> list[Announced]:
         for kind in SOURCES.values()
         if kind.discovery is not None
     ]
+    # A port that cannot be listened on is known at once; announcements are waited for until the end.
     done, waiting = await asyncio.wait(tasks, timeout=seconds, return_when=asyncio.FIRST_EXCEPTION)
     for task in waiting:
         task.cancel()

@@ -91,6 +91,7 @@ class MakersLine:
 
         Raises ``LinkError``, and ``NoAnswerError`` where none comes.
         """
+        # The listener runs in the task that reads the link: the queue brings its finding to this one.
         answers: asyncio.Queue[_Found] = asyncio.Queue()
 
         def take(message: Any) -> None:
@@ -98,6 +99,7 @@ class MakersLine:
             if found is not None:
                 answers.put_nowait(found)
 
+        # Listening begins before the question is sent, so that a quick answer is not missed.
         self._source.listen(self._link.name, self.module, take)
         try:
             for repeated in range(_ATTEMPTS):
@@ -105,6 +107,8 @@ class MakersLine:
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(_ANSWER_S):
                         found = await answers.get()
+                    # Answers to the attempts before may still come, and would be taken for answers to the
+                    # next question.
                     await _passed_over(answers, repeated)
                     return found
         finally:
@@ -282,6 +286,7 @@ async def _left_by_failure(
     module: MakersModule, settings: Mapping[str, Any], before: Mapping[str, Any]
 ) -> str | None:
     """Return what a write that failed has changed, for people; None: nothing."""
+    # What is left behind can only be read: the write failed at an unknown place.
     try:
         now = await module.commands.read(module.line)
     except (DeviceError, LinkError):

@@ -299,6 +299,7 @@ class ModuleOperations:
         Of what fails the journal keeps what the modules hold all the same.
         Raises ``JournalError``, before anything is sent, where that cannot be kept.
         """
+        # The journal is written first: whatever ends this process, what stood there before can be put back.
         planned = await self.configurator.plan(wanted)
         if not planned:
             return await work()
@@ -306,6 +307,7 @@ class ModuleOperations:
         try:
             done = await work()
         except (DeviceError, LinkError, ValueError) as error:
+            # Only what the modules hold now belongs into the journal; the rest was never changed.
             left = await self.configurator.committed(planned)
             await self._settle(entry, left)
             if left and not isinstance(error, UnfinishedError):

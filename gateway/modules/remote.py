@@ -87,8 +87,10 @@ async def remote_suit(
         try:
             client = await stack.enter_async_context(broker_connection(settings, settings.port, identifier))
             if gateway == ANY_GATEWAY:
+                # A command from somebody who does not name a gateway must not reach one of several by chance.
                 gateway = await _only_gateway(client, settings)
             of_gateway = Topics(settings.base_topic, gateway)
+            # Subscribed before anything is asked: an answer without a subscriber is lost.
             await client.subscribe(of_gateway.response(f"{family}/+"), qos=1)
         except GatewayError:
             raise
@@ -101,6 +103,8 @@ async def _only_gateway(client: aiomqtt.Client, settings: MqttSettings) -> str:
     every = Topics(settings.base_topic, ANY_GATEWAY)
     await client.subscribe(every.bridge_state, qos=1)
     online: set[str] = set()
+    # Retained messages come at once, one after another: after the first, a short pause means that all have
+    # come.
     first = True
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(_RETAINED_S) as waiting:

@@ -58,7 +58,9 @@ async def suit_session(
     context = SourceContext(suit, ModuleTable(clock_mode), links={link.name: link for link in links})
     sources = _Sources(context)
     client = CommandClient(
-        [opened[link.name] for link in asked if link.carries == SUIT], allow_writes=allow_writes
+        # Only the gateway's own modules speak its commands; those of other makers are asked by ``makers``.
+        [opened[link.name] for link in asked if link.carries == SUIT],
+        allow_writes=allow_writes,
     )
     connect_client(client, sources.stream)
     makers = MakersModules(sources.sent)
@@ -67,17 +69,20 @@ async def suit_session(
         for each in asked:
             link = opened[each.name]
             await _open(link)
+            # Closed in reverse order at the end, whatever fails in between.
             stack.push_async_callback(link.close)
             routes = sources.add(link, each.carries)
             for name, source in routes.items():
                 if name == link.name:
                     makers.add_link(link, source)
             readers.append(asyncio.create_task(_read(link, routes), name=f"link {link.name}"))
+        # One link that is there suffices: an absent one opens once its device is plugged in.
         there = [each for each in asked if opened[each.name].state is LinkState.UP]
         if asked and not there:
             down = [opened[each.name].status for each in asked]
             hint = _THROUGH_A_GATEWAY if any(status.is_busy for status in down) else ""
             raise LinkError("; ".join(status.reason for status in down) + hint)
+
         readers.append(asyncio.create_task(makers.talk(), name="talk"))
         stack.push_async_callback(_end, readers)
         await sources.heard(there)

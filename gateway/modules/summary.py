@@ -117,6 +117,7 @@ def summarise(
     makers = makers or {}
     segments = segments_of(suit)
     names = module_names(suit)
+    # Counts of one instant have no rate, and must not divide by zero.
     span_s = max((after.time_ns - before.time_ns) * 1e-9, 1e-9)
     rates = {
         module: (count - before.samples.get(module, 0)) / span_s for module, count in after.samples.items()
@@ -126,6 +127,7 @@ def summarise(
         for device in roster.devices
     ]
     known = {device.module for device in roster.devices}
+    # Modules that send and do not answer commands belong into the list too.
     silent = [
         _answering(_summary(module, None, record, names, rates), makers.get(module))
         for module, record in sorted(stream.modules.items())
