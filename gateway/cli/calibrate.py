@@ -222,6 +222,7 @@ def clocks(
     target = output or config.parent / f"{Path(settings.rig).stem}.clocks.yaml"
     if not target.parent.is_dir():
         raise GatewayError(f"{target}: there is no folder {target.parent} to write it to")
+    # Compiled beforehand: a kernel compiled while samples wait would delay their arrival times.
     warm_up()
     calibration = ClockCalibration(suit.module_ids, minutes, repetitions, minute_s, settling_s)
     with contextlib.suppress(asyncio.CancelledError):
@@ -249,6 +250,7 @@ async def _measure_clocks(settings: GatewaySettings, calibration: ClockCalibrati
         )
         for link in links
     ]
+
     begin_ns = gateway_time_ns()
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     try:
@@ -262,6 +264,7 @@ async def _measure_clocks(settings: GatewaySettings, calibration: ClockCalibrati
                         f"no module of the rig was heard for {_UNHEARD_S:.0f} s: are they switched on, "
                         "and is the link right?"
                     )
+    # Links must be closed before the result is looked at, also after an error.
     finally:
         for task in tasks:
             task.cancel()
@@ -280,6 +283,7 @@ async def _listen(link: Link, calibration: ClockCalibration) -> None:
             if not isinstance(chunk, Chunk) or chunk.link not in decoders:
                 continue
             batching, decoder = batchings[chunk.link], decoders[chunk.link]
+            # Strangers' bytes say nothing of how the link hands its chunks over.
             packets = decoder.feed(chunk)
             if decoder.is_trusted:
                 batching.observe(chunk.arrived_ns)

@@ -139,11 +139,13 @@ def body(
 
     settings = _settings(config, link, rig)
     source = find_file(settings.rig, "rigs", config)
+
     suit = load_rig(settings.rig, config)
     session = BodySession(suit, uses_field=field)
     plan = [session.step(name.strip()) for name in steps.split(",")] if steps else list(session.steps)
     guide = _Guide(session, plan, countdown, emulated, asks=not (yes or as_json or not sys.stdin.isatty()))
     console = Console(stderr=as_json, quiet=as_json)
+
     result = asyncio.run(_calibrate(settings, suit, guide, console))
     if as_json:
         typer.echo(json.dumps(result.as_json()))
@@ -247,7 +249,9 @@ class _Guide:
             await self._do(step, console)
         while True:
             n_modules = len(self.session.suit.module_ids)
+
             with console.status(_SOLVING.format(n_modules)):
+                # Better no new rig than one with poor values that look measured.
                 result = await asyncio.to_thread(self.session.result)
             console.print(result_table(result))
             again = await asyncio.to_thread(self._ask, console) if self._asks else None
@@ -261,6 +265,7 @@ class _Guide:
         with console.status("waiting for the modules"):
             while not self.session.now_ns:
                 if gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9 and not self._is_emulated:
+                    # Solving takes seconds, in a thread: samples keep being read meanwhile.
                     raise GatewayError(_NOT_ALIVE.format(_UNHEARD_S))
                 await asyncio.sleep(_REFRESH_S)
         self._begin_ns = begin_of_script(gateway_time_ns()) - round(PERIOD_S * 1e9)
@@ -306,6 +311,7 @@ class _Guide:
                 highlight=False,
             )
             with contextlib.suppress(EOFError):
+                # The end of the input accepts, as an empty line does: a script has no more to say.
                 words = input("> ").replace(",", " ").split()
                 if words:
                     try:

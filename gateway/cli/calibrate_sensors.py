@@ -83,6 +83,7 @@ def result_table(found: Mapping[int, Mapping[str, Result | str]]) -> Table:
     """Return what was found, and how good it is."""
     table = Table("module", "sensor", "bias", "spread of the norm", "quality", "why")
     for module, results in found.items():
+        # A text in place of a result is the reason why there is none.
         for sensor, result in results.items():
             if isinstance(result, str):
                 table.add_row(str(module), sensor, "–", "–", Text("none", "red"), result)

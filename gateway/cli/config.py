@@ -33,6 +33,7 @@ def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configu
     settings = load_gateway_settings(file)
     suit = load_rig(settings.rig, file)
     fitting_suit(settings, suit)
+    # Made, not opened: an address that makes no sense is found without any hardware.
     for link in settings.links:
         link_of(link, settings.mqtt, lambda: settings.mqtt.port)
     Console().print(

@@ -230,6 +230,7 @@ def _live_page(settings: GatewaySettings, page_port: int | None, console: Consol
         yield
     finally:
         process.terminate()
+        # The page may hang in its own shutdown, and must not keep the demo from ending.
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(5)
         process.kill()
@@ -326,6 +327,7 @@ class _Screen:
         """Take a pose; not every one is drawn."""
         self._view.add(received)
         now_ns = received.received_ns
+        # Poses come faster than anybody reads a table.
         if now_ns < self._due_ns:
             return
         if self._live is not None:
@@ -353,6 +355,7 @@ async def _screen(console: Console) -> AsyncIterator[_Screen]:
 
 
 def _print_invitation(console: Console, settings: GatewaySettings, port: int) -> None:
+
     console.print(
         f"emulated suit on {settings.links[0].url}; MQTT broker on 127.0.0.1:{port}. Meanwhile, elsewhere:\n"
         f"  mosquitto_sub -p {port} -t 'mocap/{settings.gateway}/pose'\n"

@@ -47,6 +47,7 @@ def doctor(
     if not config.is_file():
         raise SettingsError(f"no configuration file {config}: name yours with -c")
     console = Console(stderr=as_json)
+    # To standard error with --json: a script reads the findings from standard output.
     with console.status("examining"):
         findings = list(examine_file(config, module_rate, listen))
     if as_json:

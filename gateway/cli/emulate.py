@@ -329,8 +329,10 @@ def emulate(wanted: Emulation) -> None:
     """
     source = _played(wanted) if wanted.recording is not None else _worn(wanted)
     receiver = None if wanted.gnss is None else companion(wanted, wanted.gnss)
+    # The motion begins a moment later, so that a reader can connect before the first sample.
     start_ns = gateway_time_ns() + _START_DELAY_NS
     if wanted.motion is MotionKind.CALIBRATION:
+        # A calibration follows a timetable on which wearer and program agree without talking.
         start_ns = begin_of_script(start_ns)
     spoken = spoken_by(touchable(source), wanted.speaks, wanted.rig)
     try:
@@ -379,6 +381,7 @@ def _worn(wanted: Emulation) -> Conversation:
 
 def _suit_settings(wanted: Emulation, suit: WornSuit) -> SuitSettings:
     encoding = _encoding(wanted)
+    # A relay's batches are byte streams of our own protocol; CAN and other makers have none.
     can_relay = encoding.framing is Framing.BYTE_STREAM and wanted.speaks is None
     relays = wanted.on is not Medium.UDP
     ids = suit.module_ids
@@ -443,6 +446,7 @@ def _transport(wanted: Emulation) -> Transport:
 def _transport_of_each(wanted: Emulation, spoken: SpokenSuit) -> LinkPerDevice:
     """Return a link a module: ports one after the other, links to pseudo-terminals named for the modules."""
     _refuse_medium(wanted, spoken)
+    # Streamers of whole bodies send all modules over one link.
     if all(voice.speaks_as_one for voice in spoken.voices.values()):
         return LinkPerDevice(dict.fromkeys(spoken.voices, _transport(wanted)))
     single = len(spoken.voices) == 1
@@ -451,6 +455,7 @@ def _transport_of_each(wanted: Emulation, spoken: SpokenSuit) -> LinkPerDevice:
         link = wanted.link
         if link is not None and not single:
             link = link.with_name(f"{link.name}-{module}")
+        # Devices that share a link have one port, and are told apart by what they send.
         beside = 0 if voice.shares_link else place
         one = replace(wanted, port=wanted.port and wanted.port + beside, link=link)
         if wanted.on is Medium.UDP:

@@ -173,6 +173,7 @@ def report(
     target = output or file.with_suffix(".html")
     refuse_existing(target, force)
     recording = open_recording(file)
+
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell:
         found = gather(recording, tell)
     write_report(found, target)

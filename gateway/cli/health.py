@@ -25,6 +25,7 @@ def health(
     try:
         with urllib.request.urlopen(address, timeout=timeout) as response:
             typer.echo(response.read().decode(errors="replace").strip())
+    # An answer with an error status is an answer: its text says what is wrong.
     except urllib.error.HTTPError as error:
         typer.echo(error.read().decode(errors="replace").strip())
         raise typer.Exit(1) from None

@@ -349,6 +349,8 @@ class _Fitting:
                 "there are modules of other makers alone, which keep no number: write 'module: NUMBER' at "
                 "the link of each in the configuration"
             )
+        # Two modules with one id cannot be told apart by their samples: they get ids before anything is
+        # shaken.
         if listed["conflicts"]:
             await self._separate(listed)
             listed = await self._perform("list", {"listen_s": _LISTED_S})
@@ -413,6 +415,7 @@ class _Fitting:
                 found = await self._next_sign()
             except (RequestError, AmbiguousMotionError) as error:
                 self._console.print(f"  {error}", style="yellow")
+                # Two modules moved at once, or an error at the suit: ask again, nothing was changed.
                 continue
             if isinstance(found, str):
                 if found == "u":
@@ -421,6 +424,7 @@ class _Fitting:
             if found is None:
                 self._console.print("  nothing moved in time: skipped", style="yellow")
                 return "s"
+
             proposal = self._wardrobe.propose(segment, found["unique_id"])
             sign = _SIGNS.get(found["sign"], "was shaken")
             self._console.print(f"  module {proposal.before} ({proposal.unique_id}) {sign}: {proposal}")

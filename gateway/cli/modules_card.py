@@ -92,6 +92,7 @@ def download_file(
 
     A download that was cut goes on where it stopped when it is started again. The checksum is verified.
     """
+    # Beside the target, so that an interrupted download finds what it has already.
     fetched = target if raw else target.with_name(target.name + ".card")
 
     async def work(operations: Operations) -> int:
@@ -104,6 +105,7 @@ def download_file(
         start_ns = None if started is None else round(started.replace(tzinfo=UTC).timestamp() * 1e9)
         with writing(target):
             made = convert_card_file(fetched, target, start_ns=start_ns, end_ns=gateway_time_ns())
+        # Only now: until the recording is whole, the fetched file is all there is.
         fetched.unlink()
         damaged = f", {made.dropped} damaged wire frames left out" if made.dropped else ""
         typer.echo(

@@ -45,6 +45,7 @@ async def _report(url: str, device: str | None, allow_writes: bool, only: list[s
 
     findings = []
     try:
+        # Findings are printed as they come: the whole takes minutes.
         async for found in check_module(
             link_from_url(url, name="module"), device, allow_writes=allow_writes, only=only
         ):

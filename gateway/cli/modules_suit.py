@@ -97,6 +97,7 @@ async def operations_of(choice: SuitChoice, needs_all: bool = True) -> AsyncIter
         async with remote_suit(_broker(choice), choice.gateway) as remote:
             yield remote
         return
+
     journal = Journal(default_journal_path())
     if choice.link is not None:
         if choice.rig is None:
@@ -105,6 +106,7 @@ async def operations_of(choice: SuitChoice, needs_all: bool = True) -> AsyncIter
         async with suit_session(links, suit, allow_writes=choice.allow_writes, journal=journal) as local:
             yield local
         return
+
     if choice.config is None:
         raise GatewayError(
             "where is the suit? give -c CONFIG, or --link PORT --rig RIG, or --mqtt HOST:PORT of a "

@@ -57,6 +57,7 @@ def _interruptible() -> Iterator[None]:
     """
     if threading.current_thread() is not threading.main_thread():
         yield
+        # Signals can only be handled in the main thread.
         return
     came: list[int] = []
     before = signal.getsignal(signal.SIGINT)

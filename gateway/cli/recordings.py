@@ -35,6 +35,7 @@ def recordings(
     """List the recordings of a folder: when, how long, how large, modules, loss."""
     from gateway.recording.summary import recordings_in, summarise
 
+    # A file that cannot be read stops no other: it is named below the table.
     found = list(recordings_in(folder))
     summaries = [summarise(each) for each in found if not isinstance(each, RecordingError)]
     problems = [str(each) for each in found if isinstance(each, RecordingError)]
@@ -141,6 +142,7 @@ def _overview(meta: RecordingMeta, summary: RecordingSummary) -> Table:
     for topic, count in sorted(summary.messages.items()):
         rows[topic] = str(count)
     rows["attachments"] = ", ".join(meta.attachments)
+
     grid = Table.grid(padding=(0, 2))
     for name, value in rows.items():
         grid.add_row(_text(name), _text(value))

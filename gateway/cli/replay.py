@@ -40,14 +40,17 @@ def replay_live(
     from gateway.service.service import Service
 
     mqtt = source.settings.mqtt
+    # At full speed poses come in bursts: a short queue would drop what a live suit never would.
     changes: dict[str, object] = {"queue_length": max(mqtt.queue_length, QUEUE)}
     if embedded:
+        # A recording that is played must not record itself.
         changes.update(broker="embedded", host="127.0.0.1")
     kept = source.settings.recording.model_copy(update={"at_start": False})
     settings = source.settings.model_copy(update={"mqtt": mqtt.model_copy(update=changes), "recording": kept})
     link = ReplayLink(recording.meta.path, speed=speed)
     with with_recorded_table(recording, settings) as complete:
         service = Service(complete, source.suit, [link])
+
     link.hold = Brake(service, is_paced=speed is not None).hold
     typer.echo(f"playing to {mqtt.base_topic}/{settings.gateway}/pose; Ctrl-C ends", err=True)
     asyncio.run(play(service, link, as_json))
@@ -192,6 +195,8 @@ def _source(
             f"{meta.path} tells no suit (it is of a memory card, or imported): name a configuration, "
             "-c my.yaml"
         )
+    # The recorded suit is the true one; a configuration only says where to publish, and fills in what is
+    # absent.
     settings = meta.settings if meta.has_suit or given is None else given
     if given is not None:
         settings = settings.model_copy(update={"mqtt": given.mqtt, "gateway": given.gateway})
@@ -243,6 +248,7 @@ def _verify(recording: Recording, as_json: bool) -> None:
         typer.echo(f"different: {found.difference}")
         for reason in _reasons(recording):
             typer.echo(f"  {reason}")
+    # The exit code tells a script, whatever was printed.
     if not found.is_identical:
         raise typer.Exit(1)
 

@@ -146,6 +146,7 @@ class _Supervisor:
         service.own_requests.on_reload = self._read_anew
         service.own_requests.on_examine = partial(examined, service)
         service.own_requests.on_connect = PortChoice(self._config, service, self._read_anew).connect
+        # As a task, so that a new configuration or a signal can end it.
         self._task = asyncio.ensure_future(service.run())
         notify("READY=1", f"STATUS=publishing, configuration {self._config}")
         try:
@@ -154,6 +155,8 @@ class _Supervisor:
             if self._next is None:
                 log.info("stopped")
         except GatewayError as error:
+            # Only a service that never began is replaced by the one before; one that ran and failed is an
+            # error.
             if self._former is None or service.begun.is_set():
                 raise
             log.error("the changed configuration cannot run, the old one goes on: %s", error)
@@ -163,6 +166,7 @@ class _Supervisor:
             return True
         if self._next is None:
             return False
+        # Kept until the next one has begun: it is gone back to if that fails.
         self._former = service
         self._take(self._next)
         log.info("configuration read anew")
@@ -206,10 +210,12 @@ class _Supervisor:
             log.error("the changed configuration is not taken, the old one stays: %s", error)
             raise
         finally:
+            # In any case: to the service manager a reload that fails is a reload that is over.
             notify("READY=1")
         self._next = service
         self._is_settled.clear()
         if self._task is not None:
+            # The answer to whoever asked goes out over the service that is about to end.
             asyncio.get_running_loop().call_later(switch_after_s, self._task.cancel)
 
     async def _prepared(self) -> Service:
@@ -265,12 +271,14 @@ def record(
     recording = settings.recording.model_copy(update={"at_start": True, **wanted})
     settings = settings.model_copy(update={"recording": recording})
     suit = load_rig(settings.rig, config)
+
     set_up_logging(settings.log.level, settings.log.format)
     make_ready(fitting_suit(settings, suit).reconstructor)
     with report_compiling(partial(typer.echo, err=True)):
         service = Service(settings, suit, others=further_bodies(settings, config))
     service.own_requests.on_examine = partial(examined, service)
     asyncio.run(_record(service, settings, seconds, None if quiet else Console(stderr=True)))
+
     status = service.recording.status()
     if "file" not in status:
         raise GatewayError("nothing was recorded: it was ended before it had begun")
