@@ -128,6 +128,7 @@ def examine(
     suit = load_rig(settings.rig, config)
     yield good("rig", f"{len(suit.module_ids)} modules on body '{suit.skeleton.name}'")
     yield from kernels(_method(settings, suit))
+    # A gateway that runs has the ports open: it is asked instead of the modules.
     states = asyncio.run(running.module_states(settings.mqtt, settings.gateway))
     readable = []
     for link in settings.links:
@@ -141,6 +142,7 @@ def examine(
         yield from can_interface(link, here)
         if link.carries == SUIT:
             yield from capacity(link.name, link.url, len(suit.module_ids), rate_hz)
+        # Only links that opened are listened to; the others have their finding already.
         if opened.verdict is Verdict.GOOD and _has_modules(link):
             readable.append(link)
     yield from asyncio.run(broker(settings.mqtt, settings.gateway, here))

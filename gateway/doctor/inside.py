@@ -31,6 +31,7 @@ async def examined(service: Service, here: Surroundings | None = None) -> dict[s
     surroundings = here or Surroundings()
     states = {state.module: state for state in service.observer.figures().modules}
     found = list(running.judge(service.settings.gateway, states))
+    # In threads: reading the system's files may block.
     ports = await asyncio.to_thread(ports_of, service.settings.links, surroundings)
     looked = await asyncio.to_thread(lambda: list(_examine(service, surroundings)))
     unused = [port["name"] for port in ports if port["link"] is None]

@@ -122,6 +122,7 @@ def can_interface(link: LinkSettings, surroundings: Surroundings) -> Iterator[Fi
     rate = line_rate(link.url)
     assert isinstance(rate, CanRate)
     up = _up_command(interface, rate)
+    # Bit 0 of the flags is IFF_UP (linux/if.h).
     if _read(surroundings, interface, "flags", base=16) & 1 == 0:
         yield bad(subject, f"{interface} is down", up)
         return
@@ -170,6 +171,9 @@ def _read(surroundings: Surroundings, interface: str, attribute: str, base: int)
         return 0
 
 
+# Only a rate that the url names can be compared with the interface's own.
+
+
 def _details(described: str | None) -> dict[str, Any]:
     """Return the part about CAN of what ``ip -details -json`` says; empty for an interface that has none."""
     try:
@@ -204,10 +208,12 @@ def capacity(name: str, url: str, n_modules: int, rate_hz: float) -> Iterator[Fi
         load = uart_load(traffic, rate.baud)
         line = f"serial at {rate.baud:,} baud"
         remedy = _uart_remedy(traffic, rate)
+
     found = f"{n_modules} modules × {rate_hz:g} Hz take {load:.0%} of {line}"
     if load <= COMFORTABLE:
         yield good(f"{name}: capacity", found)
         return
+    # Beyond the full line samples are lost for certain; just below it bursts are late.
     verdict = Verdict.BAD if load > 1 else Verdict.WARNING
     yield Finding(
         f"{name}: capacity", verdict, found, f"{remedy}, or at most {rate_hz * COMFORTABLE / load:.0f} Hz"
@@ -237,6 +243,7 @@ async def listen(
     the method makes."""
     journal = Journal(default_journal_path())
     try:
+        # Without writes: a diagnosis changes nothing.
         async with suit_session(links, suit, allow_writes=False, journal=journal) as operations:
             listed = await operations.perform("list", {"listen_s": max(seconds, SHORTEST_S)})
             found = ModuleList.model_validate(
@@ -251,6 +258,7 @@ async def listen(
                 *_others_settings(await operations.makers.advice(rate_hz)),
                 *_presence(_without_unworn(found, others, operations.makers), suit, OWN if own else OTHERS),
             ]
+    # Messages of this kind have the remedy after the first semicolon.
     except (GatewayError, LinkError, DeviceError) as error:
         what, _, remedy = str(error).partition("; ")
         return [bad("suit", what, remedy or "see the findings about its ports")]
@@ -320,6 +328,7 @@ def _line(subject: str, url: str, garbled: int, received: int, carries: str = SU
     share = garbled / total
     found = f"{garbled:,} of {total:,} wire frames are damaged ({share:.0%})"
     rate = line_rate(url)
+    # Garbage on a serial line is nearly always the rate: bits are cut at the wrong places.
     if share > GARBAGE and (isinstance(rate, UartRate) or url.startswith("/dev/")):
         baud = f" (it is read at {rate.baud:,})" if isinstance(rate, UartRate) else ""
         yield bad(subject, f"{found}: the baud rate is wrong{baud}", f"write its own: url: …?baud=…{kind}")

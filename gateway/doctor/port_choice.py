@@ -48,6 +48,7 @@ class PortChoice:
         place = self._place_of(request.link, links)
         self._refuse_used(request, links)
         url = url_of(request.port, links[place].url)
+        # Kept byte for byte: comments and order of the user's file must survive a failure.
         before = self._config.read_bytes()
         text = yaml_text.replaced(before.decode("utf-8"), ("links", place, "url"), url)
         with writing(self._config):
