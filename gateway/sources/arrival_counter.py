@@ -85,15 +85,19 @@ class ArrivalCounter:
         silence_ns = 0 if last_ns is None else arrived_ns - last_ns
         if count is not None and self._bits is not None:
             self._number = self._counted(arrived_ns, count, self.interval_ns)
+        # After silence the count goes on by the clock: how many samples were not sent cannot be known
+        # otherwise.
         elif silence_ns > _SILENCE_NS:
             self._number += max(1, round(silence_ns / self.interval_ns))
             self._least_ns, self._before_ns, self._span = None, None, []
         else:
             self._number += 1 + n_lost
             self._number += self._unseen(arrived_ns - self._number * self.interval_ns, self.interval_ns)
+
         number, stamp_ns = self._stamped or (0, 0.0)
         stamp_ns += (self._number - number) * self.interval_ns
         self._stamped = self._number, stamp_ns
+        # The spans have not looked alike for long: the interval itself has changed, and is learnt anew.
         if self._unlike >= _UNLIKE_SPANS:
             by_number_ns = self._number * self.interval_ns
             self._delay_ns = (self._least_ns or arrived_ns - by_number_ns) + by_number_ns - stamp_ns
@@ -119,6 +123,8 @@ class ArrivalCounter:
 
     def _unseen(self, late_ns: float, interval_ns: float) -> int:
         """Return how many samples before this one were lost, as far as that shows now."""
+        # The least delay of a span is nearly free of jitter; a step of a whole interval in it is a lost
+        # sample.
         self._span.append(late_ns)
         if len(self._span) < max(_HALF_SAMPLES, _HALF_NS / interval_ns):
             return 0
@@ -151,10 +157,12 @@ class ArrivalCounter:
         del self._first[:_HALF]
         if measured_ns is None:
             return
+        # Two measurements in a row must agree: a burst at the start looks like a high rate.
         near_ns, far_ns = sorted((measured_ns, before_ns or math.inf))
         if far_ns > _AGREED * near_ns and self._bursts < _BURSTS:
             self._bursts += 1
             return
+        # Crystals are within a fraction of a per cent of a rate that the maker names: that one is exact.
         near = (1e9 / rate_hz for rate_hz in self._rates_hz)
         known = (each for each in near if _KNOWN[0] * each <= measured_ns < _KNOWN[1] * each)
         self.interval_ns = next(known, measured_ns)

@@ -66,6 +66,7 @@ def _free(decoder: Rows, partial: Rows, places: IntArray, place: int) -> None:
 def _begin(decoder: Rows, partial: Rows, places: IntArray, stream: int, pieces: int) -> int:
     """Begin a wire frame, or with ``pieces`` -1 the rest of a spoilt one; return its place."""
     place = int(places[stream]) - 1
+    # A free place, or else that of the oldest frame, which will hardly be completed any more.
     if place < 0:
         oldest = 0
         for k in range(MAX_PARTIAL_FRAMES):

@@ -228,9 +228,11 @@ class MakersSource(ListeningSource):
 
     def receive(self, chunk: Chunk) -> list[InertialBatch | FusedReading]:
         """Return the samples that a chunk completes, and orientations fused on board."""
+
         device = self.devices[chunk.link]
         messages = device.feed(chunk)
         self.modules.begin_chunk(chunk, is_damaged=device.is_damaged)
+
         rows: list[Sample] = []
         found: list[InertialBatch | FusedReading] = []
         for message in messages:
@@ -242,6 +244,7 @@ class MakersSource(ListeningSource):
             if self._listeners:
                 for listener in self._listeners.get((chunk.link, device.module_of(message, chunk)), ()):
                     listener(message)
+        # Watchers see samples as they came: shaking a module is found before any correction.
         for watch in self.watchers if rows else ():
             watch(rows, chunk)
         device.made[FusedReading] += len(found)

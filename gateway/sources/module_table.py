@@ -141,11 +141,13 @@ class ModuleTable:
             clock = clock or self._new_clock(module, waits[chunk.link], part(memory, MODULE, "clock"))
             record = ModuleRecord(module, clock, chunk.arrived_ns, memory=memory)
             self.records[module] = record
+
         restarts = record.clock.restarts
         time_ns = record.clock.gateway_time(module_time_us, chunk.arrived_ns)
         if record.clock.restarts != restarts:
             record.restarted_ns.append(chunk.arrived_ns)
             self._restarted.add(module)
+            # A restarted module counts its packets from anew too: that is no gap.
             for restarted in record.sequences.values():
                 restarted.restart()
         record.last_arrival_ns = chunk.arrived_ns
@@ -158,6 +160,8 @@ class ModuleTable:
 
         leader: the module whose clock it is, heard in this chunk or before; stamp_us: see ``timed``.
         """
+        # Whether the shared clock restarts shows only by comparing: the leader's stamp may be that of a
+        # restart.
         known = self.records.get(leader)
         restarts = 0 if known is None else known.clock.restarts
         led, time_ns = self.timed(leader, stamp_us, chunk)
@@ -187,6 +191,8 @@ class ModuleTable:
 
     def balances(self) -> Iterator[Balance]:
         """Yield what became of all samples sent; and the share of modules in the packets decoded."""
+        # The upper bits of a kind tell streams apart that count by themselves; the lower ones are the
+        # packet's.
         of_samples = [
             counter
             for record in self.records.values()

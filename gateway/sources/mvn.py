@@ -99,14 +99,17 @@ class MvnDevice(MakersDevice):
             return
         losses = modules.losses(chunk.link)
         joints = [item for item in message.items if isinstance(item, JointRotation)]
+        # Joint rotations beside segment poses say the same twice.
         if joints and self._has_poses:
             self.decoder.unused += 1
             return
+
         fused = [(item.segment, item.orientation) for item in message.items if isinstance(item, SegmentPose)]
         for record, q in self._dated([*fused, *_chained(joints).items()], message, modules, chunk):
             number = record.counter(FusedSample.KIND).count_unwrapped(told, losses)
             if number is not None:
                 yield FusedReading(record.module, number, self._time_ns, q)
+
         raw = [(item.segment, item) for item in message.items if isinstance(item, Tracker)]
         for record, item in self._dated(raw, message, modules, chunk):
             number = record.counter(InertialSample.KIND).count_unwrapped(told, losses)

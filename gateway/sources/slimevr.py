@@ -194,6 +194,7 @@ class SlimevrDevice(MakersDevice):
             case Acceleration():
                 linear = message.acceleration
                 if tracker.has_old_axes:
+                    # Older firmware turns its axes by a quarter about z.
                     linear = linear[1], -linear[0], linear[2]
                 sensor = self._sensors.get(self._module(tracker, message.sensor))
                 if sensor is not None:
@@ -202,6 +203,7 @@ class SlimevrDevice(MakersDevice):
                 self._returned(tracker, message, chunk)
             case SensorInfo():
                 tracker.infos[message.sensor] = message
+                # A tracker repeats its description until it is acknowledged.
                 self._replies.append((wire.acknowledge(message.sensor, message.state), tracker.sender))
             case Features():
                 flags = wire.BUNDLES | wire.COMPACT_BUNDLES
@@ -253,6 +255,7 @@ class SlimevrDevice(MakersDevice):
                 )
                 continue
             if found.acceleration is None:
+                # Without orientations nothing else can be said of the tracker.
                 yield Advice(
                     f"tracker {_shown(key)} (module {module}) sends no acceleration: without it joints "
                     "tell little",
@@ -354,6 +357,7 @@ class SlimevrDevice(MakersDevice):
         arrival = sensor.arrived(tracker.decoder.missed, chunk.arrived_ns)
         record, time_ns = modules.timed(module, arrival.stamp_us, chunk, clock=sensor.clock)
         record.info = record.info or _info(tracker)
+        # Counted for the statistics of loss alone; the reading has its number from the arrival.
         record.counter(InertialSample.KIND).count_unwrapped(arrival.number, modules.losses(chunk.link))
         felt = sensor.complete(arrival, time_ns, message.orientation)
         if felt is None:

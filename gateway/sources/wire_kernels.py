@@ -219,6 +219,7 @@ def decode_stream(
     for place in range(begin, len(data)):
         if data[place] != 0:
             continue
+        # The end of an overlong frame: what follows the delimiter is good again.
         if decoder[0].is_skipping != 0:
             decoder[0].is_skipping = 0
         elif place - begin > MAX_STUFFED_SIZE:
@@ -231,6 +232,7 @@ def decode_stream(
             else:
                 n = take_frame(raw, at, stop, treatments, decoder, entries, left, n)
                 at = stop
+        # The frame's end is not in this chunk; beyond the largest size it can only be noise.
         begin = place + 1
     if decoder[0].is_skipping == 0 and len(data) - begin > MAX_STUFFED_SIZE:
         drop(decoder, OVERLONG)

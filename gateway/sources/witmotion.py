@@ -196,11 +196,13 @@ class WitMotionCommands:
         """
         values = {name: self._meant(name, value) for name, value in settings.items()}
         steady = {name: value for name, value in values.items() if name not in _ANSWERS_ELSEWHERE}
+        # One by one and read back: the device acknowledges nothing.
         for name, value in steady.items():
             await self._tell(line, REGISTERS_BY_NAME[name].address, value)
         after = {name: await self._read_back(line, name) for name in steady}
         if steady:
             await self._tell(line, *SAVE)
+        # Last what changes how the device is reached: after it, the old settings no longer find it.
         for name in values.keys() - steady.keys():
             await self._tell(line, REGISTERS_BY_NAME[name].address, values[name])
             await self._tell(line, *SAVE)

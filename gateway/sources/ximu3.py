@@ -108,6 +108,7 @@ class Ximu3Device(MakersDevice):
             described = _described(message)
             record.info = record.info if described is None else identity(bytes.fromhex(described.unique_id))
             return
+
         if isinstance(message, Battery):
             told: Mapping[str, Any] = {
                 "battery_percent": round(message.percent),

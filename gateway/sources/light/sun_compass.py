@@ -100,6 +100,7 @@ class SunCompass:
         dt = (frame.time_ns - self._time_ns) * 1e-9 if self._time_ns >= 0 else 0.0
         self._time_ns = frame.time_ns
         for row, module in enumerate(self._modules):
+            # Between two readings the gyroscope carries the direction on.
             _turn_along(module, frame.angular_rate[row], dt)
         for reading in frame.light:
             self._take(reading, frame)
@@ -134,6 +135,8 @@ class SunCompass:
         is_silent = self._time_ns - module.heard_ns > SILENT_S * 1e9
         return "silent" if is_silent else module.state
 
+    # Where cells are in place of the magnetometer, what modules send as a field is void.
+
     def _place_sun(self, time_ns: int) -> None:
         step = time_ns // STEP_NS
         if step != self._step:
@@ -162,6 +165,7 @@ class SunCompass:
         self, module: _Module, reading: LightReading, solution: CellSolution, force: FloatArray
     ) -> Rejected | None:
         """Return why a reading gives no heading; None: it gives one."""
+        # Diffuse light may come out negative by noise; it must not enlarge the share of direct light.
         elevation = math.asin(self._world[2])
         direct, all_light = solution.direct, solution.direct + max(solution.diffuse, 0.0)
         tests = {
