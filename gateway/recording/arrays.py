@@ -87,6 +87,7 @@ def arrays_of(frames: Iterable[SkeletonFrame], skeleton: Skeleton) -> SkeletonAr
     kept = list(frames)
     if not kept:
         return None
+    # A recording may hold poses of two suits, as after a reload; they cannot be stacked.
     odd = next((frame for frame in kept if len(frame.status) != skeleton.n_segments), None)
     if odd is not None:
         raise ValueError(

@@ -85,12 +85,15 @@ class RecordingControl:
         """
         if self.is_recording:
             raise RecordingError(f"already recording to {self.status()['file']}: stop that first")
+        # Only a recording with every input from the start gives bit-identical poses: the filters' state is
+        # not saved.
         begins_whole = not self._has_been_fed
         contents = Contents(
             self._links, attachments_of(self._settings, self._suit), gateway.__version__, begins_whole
         )
         files = SessionFiles(self._settings.recording, contents, name)
         sink = Sink(files.write, files.flush, files.close, files.abandon)
+
         self._files, self._begun = files, time.monotonic()
         self._is_wanted = True
         self.marks = 0

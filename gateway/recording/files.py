@@ -50,6 +50,7 @@ def prepare_folder(settings: RecordingSettings, free: Callable[[Path], int] = fr
     folder = Path(settings.folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        # Written to at once: permissions alone do not say whether a full or read-only disk takes a file.
         with tempfile.TemporaryFile(dir=folder):
             room = free(folder)
     except OSError as error:
@@ -191,6 +192,7 @@ class SessionFiles:
                 f"{self.folder} has {free:.0f} MB free, less than min_free_mb {self._settings.min_free_mb:g}"
             )
         if free < self._settings.warn_free_mb:
+            # Warned once, not at every look, but the state is shown as long as it lasts.
             if self.warning is None:
                 log.warning(
                     "%s has %.0f MB free: recording stops at %g MB",

@@ -200,6 +200,7 @@ def _called(
             f"{source}: {trial.rate_hz:g} frames a second, of which {_FASTEST_HZ:g} are solved at the most: "
             "correct the rate in the file (POINT:RATE, or DataRate), or leave frames out"
         )
+
     markers = suit.markers
     if markers is None:
         raise GatewayError(f"{subject} is no fitted subject: make one with `mocap-gateway optical fit`")
@@ -211,6 +212,7 @@ def _called(
             f"({', '.join(markers.labels[:6])}, …); it has "
             + (", ".join([label for label in trial.labels if label][:6]) or "no named ones")
         )
+    # Enough names are not enough frames: a label may stand for a marker that was never seen.
     seen = np.isfinite(called.columns(markers.labels)).all(axis=2).sum(axis=1)
     if not (seen >= _FEWEST_MARKERS).any():
         raise GatewayError(

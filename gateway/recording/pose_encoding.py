@@ -35,10 +35,12 @@ def decode_skeleton_frame(data: bytes) -> SkeletonFrame:
     """Return the frame that ``data`` was made of. Raises ``ValueError`` for bytes that are none."""
     if len(data) < _HEAD.size:
         raise ValueError(f"{len(data)} bytes are no skeleton frame")
+    # The mask says which arrays follow; arrays that are NaN throughout are left out to save space.
     sequence, time_ns, root, n_segments, mask, _ = _HEAD.unpack_from(data)
     offset = _HEAD.size + n_segments
     present = [(name, width) for bit, (name, width) in enumerate(_ARRAYS) if mask >> bit & 1]
     expected = offset + 8 * n_segments * sum(width for _, width in present)
+    # Checked before anything is read: the file may be damaged, and must not be read past its end.
     if len(data) != expected:
         raise ValueError(f"a skeleton frame of {n_segments} segments has {expected} bytes, not {len(data)}")
     arrays: dict[str, FloatArray] = {}

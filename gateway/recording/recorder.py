@@ -200,13 +200,16 @@ class Recorder:
             while reason is None:
                 self._wake.wait(self._interval_s)
                 self._wake.clear()
+                # Read before the queue is written: what is put in before closing is then surely written.
                 closing = self._closing
                 reason = self._write_queued() or closing
+            # Once more for what came while the last write was going on.
             self._write_queued()
             self._write_end(reason)
             self._sink.close()
         except OSError as error:
             reason = f"it cannot be written any more ({error.strerror or error})"
+            # A disk that is full must not lose what is on it already: nothing more is written to the file.
             self._sink.abandon()
         except Exception as error:
             log.exception("the recorder failed")

@@ -64,6 +64,7 @@ def _copy(
                 channels[record.id] = record
             elif isinstance(record, Message) and record.channel_id in channels:
                 channel = channels[record.channel_id]
+                # A topic of a newer version cannot be checked, and so not vouched for.
                 if not fmt.is_known(channel.topic):
                     continue
                 writer.add(channel.topic, record.log_time, record.data, channel.metadata)

@@ -84,8 +84,10 @@ class Shelf:
         found = list(recordings_in(self._folder))
         recordings = [each for each in found if isinstance(each, Recording)]
         under_way = self._under_way()
+        # The file that is being written has no index yet, and grows while it is read.
         if under_way is not None:
             recordings = [r for r in recordings if under_way not in {file.path for file in r.parts.files}]
+        # Names that requests cannot carry are told, not dropped in silence.
         unnamed = [r for r in recordings if not _can_be_asked_for(r)]
         recordings = [r for r in recordings if _can_be_asked_for(r)]
         recordings.sort(key=lambda each: each.meta.begun_utc_ns, reverse=True)

@@ -258,6 +258,7 @@ def rig_of(suit: WornSuit) -> dict[str, Any]:
             module["calibration"] = entry.model_dump(mode="json", exclude_none=True)
         if suit.sun is not None:
             module["cells"] = suit.sun.normals[suit.module_ids.index(module["id"])].tolist()
+    # In the order of the suit: poses of a replay depend on the order of the modules.
     modules.sort(key=lambda module: suit.module_ids.index(module["id"]))
     devices = [
         {

@@ -168,12 +168,14 @@ def write_solved(
         smoothed=str(int(source.smoothed)),
         **({"imported_from": meta.imported_from} if meta.imported_from else {}),
     )
+
     is_shown = source.settings.recording.transforms
     transforms = BodyTransforms(source.suit.skeleton) if is_shown else None
     with (
         _poses_by_message(recording, source, progress) as (poses_of, tell),
         DerivedRecordingWriter(target, session, attachments, meta.begun_ns) as writer,
     ):
+        # Everything else is copied as it is, so that the new recording replays like the old one.
         for count, message in enumerate(_with_progress(recording, tell)):
             if message.topic not in _MADE_ANEW:
                 writer.add(message.topic, message.time_ns, message.data, _metadata(recording, message.topic))
@@ -213,6 +215,7 @@ def _poses_by_message(
         yield partial(_fed, pipeline), progress
         return
     with SmoothedPoses(pipeline) as smoothing:
+        # A smoother needs the end before the first pose: all messages are gone through twice.
         for message in _with_progress(recording, _half(progress, 0)):
             if _is_input(message):
                 item = decode_message(message)

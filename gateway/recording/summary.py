@@ -72,6 +72,7 @@ def summarise(recording: Recording) -> RecordingSummary:
     figures = _Figures()
     defects = []
     for file in recording.parts.files:
+        # Without an index, as after a kill, the file itself must be read.
         if not _by_index(file, figures):
             _by_reading(file, figures)
         if file.defect is not None:
@@ -118,6 +119,7 @@ def recordings_in(folder: Path) -> Iterator[Recording | RecordingError]:
         except GatewayError as error:
             yield RecordingError(str(error))
             continue
+        # Later parts follow by themselves; listed again, they would look like sessions of their own.
         shown.update(file.path for file in recording.parts.files)
         yield recording
 

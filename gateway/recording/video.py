@@ -89,6 +89,7 @@ def video_suit(
         return replace(known, video=video)
     keypoints = load_keypoint_set(keypoint_set_of(network))
     reconstructor = VideoReconstructor(cameras, keypoints)
+    # A few instants suffice for the lengths of bones, which do not change.
     found = 0
     for sequence, instant in enumerate(messages):
         pose = reconstructor.update(heat_map_frame(sequence, instant))

@@ -53,6 +53,7 @@ def _joint_lines(
     children = np.flatnonzero(skeleton.parents == segment)
     for child in children:
         lines += _joint_lines(skeleton, int(child), inner, units_per_m, order)
+    # The last joint of a limb needs an end site, or programs draw the segment without a length.
     if not len(children):
         end = _numbers(skeleton.tips[segment] * units_per_m)
         lines += [f"{inner}End Site", f"{inner}{{", f"{inner}\tOFFSET {end}", f"{inner}}}"]

@@ -18,9 +18,8 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     """Write a take as C3D. Raises ``GatewayError`` without the extra ``export``.
 
     Points are ``<segment>``, ``<segment>_tip``, one a joint in degrees (listed in POINT:ANGLES), and the
-    markers
-    that the poses were made from, with their distances from the body as residuals (negative: not seen). The
-    segments' 4 × 4 matrices stand under ROTATION.
+    markers that the poses were made from, with their distances from the body as residuals (negative: not
+    seen). The segments' 4 × 4 matrices stand under ROTATION.
     """
     try:
         import ezc3d  # noqa: PLC0415 - an extra

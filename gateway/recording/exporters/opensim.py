@@ -38,8 +38,7 @@ def write_mot(take: Take, path: Path, units_per_m: float) -> None:
     """Write joint angles, degrees, and the root's place for OpenSim. Raises ``OSError``.
 
     Columns are the coordinates of the body's own model, those that only Rajagopal's model has, and angles
-    that
-    are in neither. OpenSim ignores columns that a model does not know.
+    that are in neither. OpenSim ignores columns that a model does not know.
     """
     columns, values = ["time"], [take.time_s]
     known = [*model_columns(take, units_per_m), *rajagopal_columns(take)]

@@ -62,6 +62,7 @@ def model_turns(skeleton: Skeleton) -> list[Turns]:
         joint = described.get(s)
         if joint is not None:
             turns.append(_described(s, joint))
+
             continue
         named = _ROOT_TURNS if skeleton.parents[s] < 0 else ("about_z", "about_x", "about_y")
         first, second, third = (f"{name}_{each}" for each in named)
@@ -141,15 +142,20 @@ def rajagopal_columns(take: Take) -> Columns:
         if {"thorax", f"{side}_upper_arm", f"{side}_forearm"} <= {*names}:
             elbow, wrist = (_unit(np.array(end) * mirror) for end in (ELBOW_IN_HUMERUS, WRIST_IN_ULNA))
             turns = elbow, *(_unit(np.array(axis) * (out, out, 1.0)) for axis in (ELBOW_AXIS, PRONATION_AXIS))
+            # The model's bones are not straight along y as ours are, so each is turned into its own axes
+            # first.
             upper = _of(take, f"{side}_upper_arm") * _turn_down(elbow)
             lower = _of(take, f"{side}_forearm") * _turn_down(wrist)
             twist, flexion, pronation = _turned_about(turns, upper.inv() * lower, _TWIST_STIFFNESS).T
+            # The twist goes into the humerus: the model's elbow cannot take it.
             humerus = upper * Rotation.from_rotvec(twist[:, None] * elbow)
             arm = (_of(take, "thorax").inv() * humerus).as_euler("ZXY") * (1.0, out, out)
             named = ("arm_flex", "arm_add", "arm_rot", "elbow_flex", "pro_sup")
             columns += _degrees(letter, named, np.column_stack([arm, flexion, pronation]))
         if {f"{side}_thigh", f"{side}_shank", f"{side}_foot"} <= {*names}:
             turns = tuple(_unit(np.array(axis) * (out, out, 1.0)) for axis in (ANKLE_AXIS, SUBTALAR_AXIS))
+            # The model's knee only bends about z; what else the knee does would tilt its foot, and goes to
+            # the ankle.
             thigh = _of(take, f"{side}_thigh")
             bent = (thigh.inv() * _of(take, f"{side}_shank")).as_euler("ZXY")[:, 0]
             shank = thigh * Rotation.from_rotvec(bent[:, None] * [0.0, 0.0, 1.0])

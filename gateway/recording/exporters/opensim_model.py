@@ -33,6 +33,7 @@ def write_osim(take: Take, path: Path, _units_per_m: float) -> None:
     kg = USUAL_KG if take.mass_kg is None else take.mass_kg
     inertia = body_inertia(take.skeleton, kg)
     markers = None if take.recording is None else take.recording.meta.suit.markers
+
     document = Element("OpenSimDocument", Version="40000")
     model = SubElement(document, "Model", name=take.name)
     SubElement(model, "Ground", name="ground")
@@ -45,6 +46,7 @@ def write_osim(take: Take, path: Path, _units_per_m: float) -> None:
         _joint(joints, take, turns)
     if markers is not None:
         _markers(model, take, markers)
+
     indent(document)
     with path.open("wb") as file:
         ElementTree(document).write(file, encoding="utf-8", xml_declaration=True)

@@ -69,6 +69,7 @@ class _Body:
         self._tf = file.channel(ros.TF, _schema(ros.TF_MESSAGE), "cdr")
         self._states = ros.BodyJointStates(skeleton, BODY)
         self._joint_states = file.channel(self._states.topic, _schema(ros.JOINT_STATE), "cdr")
+
         statics = [(skeleton.segment_names[int(np.argmax(skeleton.parents < 0))], f"body_{BODY}")]
         places, turns = [np.zeros(3)], [np.array([1.0, 0.0, 0.0, 0.0])]
         if take.recording is not None and take.recording.meta.has_suit:
@@ -76,6 +77,7 @@ class _Body:
                 statics.append((frame.segment, frame.name))
                 places.append(frame.place)
                 turns.append(frame.turn)
+        # Latched: a listener that joins late still gets transforms that are sent once.
         static = file.channel(
             ros.TF_STATIC, _schema(ros.TF_MESSAGE), "cdr", {"offered_qos_profiles": _LATCHED}
         )
@@ -139,6 +141,7 @@ class _Modules:
             self._imus[module] = channel, ros.ImuEncoder(frame.name)
         imu, encoder = self._imus[module]
         self._file.add(imu, time_ns, encoder.encode(time_ns, rate, force))
+        # A module without magnetometer gets no topic for it.
         if np.isnan(field).any():
             return
         if module not in self._fields:

@@ -24,10 +24,12 @@ def columns(take: Take, units_per_m: float) -> Iterator[tuple[str, NDArray[Any]]
     """Name and values (F,) of every column. What was recorded is NaN in frames that were not."""
     unit = _LENGTHS.get(units_per_m, f"per_m_{units_per_m:g}")
     recorded = take.recorded
+    # Row of the recorded frame by grid frame; -1 where nothing was recorded.
     row = np.full(len(take.q_wb), -1)
     row[np.round((recorded.time_ns - take.begun_ns) * 1e-9 * take.rate_hz).astype(np.int64)] = np.arange(
         len(recorded.time_ns)
     )
+
     yield "time_s", take.time_s
     elapsed_s = take.time_s - take.begins_s
     yield "gateway_time_ns", take.begun_ns + np.round(elapsed_s * 1e9).astype(np.int64)

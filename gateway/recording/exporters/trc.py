@@ -16,8 +16,7 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     """Write a take as TRC. Raises ``OSError``.
 
     Markers are ``<segment>`` (proximal joint), ``<segment>_tip``, then those that the poses were made from,
-    by their
-    own names; a cell is empty where one was not seen.
+    by their own names; a cell is empty where one was not seen.
     """
     names = [*take.skeleton.segment_names, *(f"{name}_tip" for name in take.skeleton.segment_names)]
     places = [take.p_w, take.tips_w]
