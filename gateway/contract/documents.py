@@ -77,6 +77,7 @@ def asyncapi() -> Schema:
     messages: Schema = {model.__name__: _message(model.__name__) for model in published_models()}
     for publication in PUBLICATIONS:
         key, name = _key(publication.topic), publication.model.__name__
+        # One topic may carry the same model in two encodings, which are two messages.
         if publication.content_type != JSON:
             name = f"{name}_{publication.content_type.rpartition('/')[2]}"
             messages[name] = _message(publication.model.__name__) | {
@@ -85,6 +86,7 @@ def asyncapi() -> Schema:
             }
         channels[key] = _channel(publication.topic, name)
         operations[f"publish_{key}"] = _operation("send", key, name, publication.qos, publication.retain)
+
     for verb in request_models():
         key, name = _key(verb), _request_name(verb)
         messages[name] = _message(name)

@@ -104,6 +104,7 @@ class FoxgloveEncoder:
         library = self._library
         length = float(np.linalg.norm(tip))
         colour = library.Color(r=_COLOUR[0], g=_COLOUR[1], b=_COLOUR[2], a=_COLOUR[3])
+        # Thinner bones for short segments, or a finger's joints would cover its bones.
         ball = 2 * min(_JOINT_RADIUS, max(length, 0.01) / 3)
         spheres = [
             library.SpherePrimitive(

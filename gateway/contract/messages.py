@@ -472,6 +472,7 @@ def describe_body(skeleton: Skeleton) -> BodyMessage:
             strict=True,
         )
     )
+
     joints = tuple(_describe_joint(joint, names) for joint in skeleton.joints)
     w, x, y, z = skeleton.neutral.tolist()
     return BodyMessage(name=skeleton.name, segments=segments, joints=joints, neutral=(w, x, y, z))

@@ -39,6 +39,7 @@ def parse_request(payload: object) -> tuple[dict[str, JsonValue], Transaction]:
     ``RequestProblem``."""
     if not isinstance(payload, bytes | bytearray):
         payload = b""
+    # Before parsing: the size of what anybody may send must be bounded first.
     if len(payload) > LARGEST_REQUEST:
         raise RequestProblem(f"a request of {len(payload)} bytes: at most {LARGEST_REQUEST} are taken")
     if not payload.strip():
@@ -51,6 +52,7 @@ def parse_request(payload: object) -> tuple[dict[str, JsonValue], Transaction]:
         raise RequestProblem('a request is a JSON object, such as {"transaction": 1}')
     transaction = request.pop("transaction", None)
     is_text = isinstance(transaction, str) and len(transaction) <= LONGEST_TRANSACTION
+    # In Python True is an integer, in JSON it is not.
     is_number = isinstance(transaction, int) and not isinstance(transaction, bool)
     if not (transaction is None or is_text or is_number):
         raise RequestProblem(f"'transaction' is a number or a text of up to {LONGEST_TRANSACTION} characters")
