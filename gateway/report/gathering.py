@@ -127,6 +127,7 @@ def gather(recording: Recording, progress: Progress | None = None) -> Findings:
     summary = summarise(recording)
     meta = recording.meta
     suit = meta.suit if meta.has_suit else None
+    # Times of the report count from the first bytes, not from the file's creation.
     first_ns = next((chunk.arrived_ns for chunk in recording.chunks()), meta.begun_ns)
     bin_s = max(_SHORTEST_BIN_S, summary.duration_s / _MOST_BINS)
     bins = max(int(np.ceil(summary.duration_s / bin_s)), 1)
@@ -135,6 +136,7 @@ def gather(recording: Recording, progress: Progress | None = None) -> Findings:
     poses = _Poses(suit.skeleton.n_segments if suit else 0)
     events: list[InputEvent] = []
     totals: dict[str, Any] = {}
+
     for item in recording.items(progress):
         if isinstance(item, Chunk | SentChunk):
             modules.take(item)
@@ -143,7 +145,9 @@ def gather(recording: Recording, progress: Progress | None = None) -> Findings:
         elif isinstance(item, InputEvent):
             events.append(item)
         elif isinstance(item, RecordedStatistics):
+            # Statistics are totals: the last ones hold for the whole recording.
             totals = item.values
+
     modules.look()
     bin_times_s = np.linspace(0.5, bins - 0.5, bins) * np.float64(bin_s)
     arrays = arrays_of(poses.kept, suit.skeleton) if suit else None

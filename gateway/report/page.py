@@ -256,6 +256,7 @@ def _pose_sections(found: Findings) -> Iterator[str]:
         return
     yield "<h2>Status</h2>" + picture(status(poses), "status of every segment over time")
     names = [status.name.lower().replace("_", " ") for status in Status]
+    # A segment without any pose must not divide by zero.
     totals = np.maximum(found.status_counts.sum(axis=1), 1)[:, None]
     shares = 100.0 * found.status_counts / totals
     rows = [
@@ -263,6 +264,7 @@ def _pose_sections(found: Findings) -> Iterator[str]:
         for segment, row in zip(poses.segment_names, shares, strict=True)
     ]
     yield table(("% of poses", *names), rows)
+
     yield "<h2>Confidence</h2>"
     if np.isfinite(poses.sigma).any():
         yield picture(sigma(poses), "standard deviation of every orientation over time")
