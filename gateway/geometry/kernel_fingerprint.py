@@ -39,10 +39,12 @@ def fingerprint(functions: Iterable[Function]) -> str:
     while waiting:
         function = waiting.pop()
         name = f"{function.__module__}.{function.__qualname__}"
+        # Kernels may call each other in a circle.
         if name not in found:
             found[name], called = _described(function)
             waiting += called
     digest = hashlib.sha256(repr(COMPILATION).encode())
+    # Sorted: the order in which kernels are met must not change the digest.
     for name in sorted(found):
         digest.update("\n".join((name, *found[name], "")).encode())
     return digest.hexdigest()[:16]
@@ -90,6 +92,7 @@ def _describe(name: str, value: Any, lines: list[str], called: list[Function]) -
     elif isinstance(value, BuiltinFunctionType | np.ufunc):
         lines.append(f"{name} is {value!r}")
     else:
+        # Better no cache than one that does not notice a change.
         raise TypeError(f"a kernel uses {name}, a {type(value).__name__}: its fingerprint cannot follow that")
 
 
