@@ -96,11 +96,13 @@ def scaled(skeleton: Skeleton, subject: Subject, where: str = "subject") -> Skel
         points *= subject.height_m / stature
         stature = subject.height_m
     for name, length in subject.lengths.items():
+        # Widths come after the lengths, which scale the very joints that a width places.
         if name in WIDTHS and set(WIDTHS[name]) <= set(skeleton.segment_names):
             continue
         for segment in _meant(skeleton, name, where):
             ratio = length / float(np.linalg.norm(tips[segment]))
             tips[segment] *= ratio
+            # Joints further out hang on this segment, and move with its end.
             offsets[skeleton.parents == segment] *= ratio
             points[carriers == segment] *= ratio
     for name, pair in WIDTHS.items():

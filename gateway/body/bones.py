@@ -59,14 +59,17 @@ def bones_of(skeleton: Skeleton) -> Bones:
     for s in range(skeleton.n_segments):
         children = skeleton.offsets[skeleton.parents == s]
         own = [skeleton.tips[s]] if _length(skeleton.tips[s]) >= SHORTEST_BONE_M else []
+        # A child's joint near the tip would draw a second bone inside the first.
         own += [
             joint
             for joint in children
             if _length(joint) >= SHORTEST_BONE_M and _length(joint - skeleton.tips[s]) > APART_M
         ]
+        # A segment of length zero still needs something to be seen and clicked.
         own = own or [np.array([SHORTEST_BONE_M, 0.0, 0.0])]
         segments += [s] * len(own)
         ends += own
+
     vectors = np.array(ends)
     lengths = np.linalg.norm(vectors, axis=1)
     widths = np.clip(WIDTH_OF_LENGTH * lengths, THINNEST_M, THICKEST_M)

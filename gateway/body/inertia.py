@@ -92,6 +92,7 @@ def body_inertia(skeleton: Skeleton, body_kg: float, sex: str | None = None) -> 
     """
     count = skeleton.n_segments
     found = BodyInertia(np.full(count, NO_MASS_KG), np.zeros((count, 3)), np.zeros((count, 3, 3)), body_kg)
+    # Segments that the tables count to their neighbours get a trace of mass, which the solver needs.
     found.inertia[:] = np.eye(3) * NO_MASS_KG * 1e-2
     limbs = [s for s, name in enumerate(skeleton.segment_names) if part_name(name) in PARTS]
     for s in limbs:
@@ -100,6 +101,7 @@ def body_inertia(skeleton: Skeleton, body_kg: float, sex: str | None = None) -> 
         kg = body_kg * _mean(MASS_OF_BODY[part], sex)
         table = PARTS["palm" if part == "hand" and _is_palm(skeleton, s) else part]
         _add(found, s, kg, begin, end, _mean_part(table, sex))
+
     if not limbs:
         raise GatewayError(
             f"body '{skeleton.name}' has no segment of a person ({', '.join(MASS_OF_BODY)}): tell what its "

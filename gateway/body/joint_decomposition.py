@@ -103,6 +103,7 @@ def _half_angles(q: FloatArray, axes: IntArray) -> tuple[float, float, float, fl
     The source's rotations are about fixed axes, ours about moving ones: its first is our third.
     """
     i, j, k = axes[2], axes[1], axes[0]
+    # Where first and third axis are the same, the third direction follows from the other two.
     is_cardan = i != k
     if not is_cardan:
         k = 3 - i - j

@@ -142,6 +142,7 @@ def _joint(path: Path, entry: JointEntry, segments: list[str], alternative: str 
             )
         definition = entry.alternatives[alternative]
     angles = definition.angle_tuple()
+    # An alternative definition names other angles, which the list of free ones does not know.
     is_free = entry.free is None or alternative is not None
     return Joint(
         name=entry.name,

@@ -27,6 +27,7 @@ def _spindle() -> tuple[FloatArray, IntArray]:
         np.column_stack([np.full(_AROUND, at), wide * np.cos(angle), wide * np.sin(angle)])
         for at, wide in zip(x, radius, strict=True)
     ]
+
     vertices = np.vstack([[-1.0, 0.0, 0.0], *rings, [1.0, 0.0, 0.0]])
     last = len(vertices) - 1
     faces = []
@@ -35,6 +36,7 @@ def _spindle() -> tuple[FloatArray, IntArray]:
         faces.append((0, 1 + after, 1 + k))
         for ring in range(_ALONG - 2):
             a, b = 1 + ring * _AROUND + k, 1 + ring * _AROUND + after
+            # Two triangles for each quadrilateral between neighbouring rings, seen from outside.
             faces += [(a, b, a + _AROUND), (b, b + _AROUND, a + _AROUND)]
         end = 1 + (_ALONG - 2) * _AROUND
         faces.append((last, end + k, end + after))
@@ -93,6 +95,7 @@ def mannequin_of(skeleton: Skeleton) -> Mannequin | None:
             parts.append(
                 (s, _DOWN, high * np.array([0.31, 0.56, 0.0]), _times(high, (0.13, 0.14, 0.25)), "face")
             )
+
     segments, turns, centres, halves, sides = zip(*parts, strict=True)
     return Mannequin(
         segment=np.array(segments, np.int64),

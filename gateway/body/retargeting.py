@@ -86,10 +86,13 @@ class Retargeter:
         base = quaternion.multiply(frame.q_wb[self._base], self._unturned)
         before = self._last_ns
         if np.isnan(base[0]) or (before is not None and frame.time_ns <= before):
+            # A clock that stepped back begins anew; a repeated time gives no pose, as no rate can be kept.
             self._last_ns = frame.time_ns if before is not None and frame.time_ns < before else before
             return None
         self._last_ns = frame.time_ns
+        # After a pause the robot may not make up for the time at once.
         seconds = _FIRST_S if before is None else min((frame.time_ns - before) * 1e-9, _LONGEST_S)
+
         targets = self._targets(base, frame.q_wb)
         known = np.isfinite(targets[:, 0])
         self._aim(base, frame.q_wb, targets, known)
@@ -125,6 +128,7 @@ class Retargeter:
                 continue
             place = np.zeros(3)
             if (reach := self._reaches[i]) is not None:
+                # Computed once, and only if a link reaches: forward kinematics of the person.
                 if places is None:
                     places = joint_positions(skeleton.parents, skeleton.offsets, q_wb, np.zeros(3))
                 step = quaternion.rotate(back, places[reach.segment] - places[reach.start])
@@ -193,6 +197,7 @@ class Retargeter:
         while at != start and at >= 0:
             persons += float(np.linalg.norm(self._skeleton.offsets[at]))
             at = int(parents[at])
+        # The ratio of the robot's limb to the person's scales the reach.
         own, place = 0.0, self._site(link).translation()
         tree, here = self.robot.tree, link
         while here != entry.start_link and here in tree.joint_of:
@@ -234,6 +239,7 @@ def _model(mujoco: Any, robot: Robot) -> Any:
     limits = dict(zip(robot.joint_names, robot.limits, strict=True))
     body_of = {tree.links[0]: (spec.worldbody.add_body(name=tree.links[0]), np.eye(4))}
     for link in tree.links:
+        # A fixed joint has no body of its own: its link is a site on the parent.
         if (joint := tree.joint_of.get(link)) is not None:
             body, at = body_of[joint.parent]
             pose = np.eye(4)

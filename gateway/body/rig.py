@@ -399,6 +399,7 @@ def _refuse_conflicts(path: Path, rig: RigFile, skeleton: Skeleton) -> None:
                     else "needs its 'device' id"
                 )
             )
+        # A device shares the number space of the modules on the wire.
         if device.device in ids:
             raise SettingsError(f"{path}: id {device.device} is given to a module and to a local device")
 

@@ -141,6 +141,7 @@ def robot_of(tree: UrdfTree, file: RobotFile, skeleton: Skeleton, where: str) ->
         if entry.start_link is not None:
             _check([entry.start_link], tree.links, f"{where}: start_link", "link of the robot")
     _check(segments, skeleton.segment_names, f"{where}: links", f"segment of body '{skeleton.name}'")
+
     most = np.radians(file.most_deg_per_s)
     return Robot(
         tree,

@@ -64,6 +64,7 @@ class CalibrationEntry(_Strict):
         """Return a calibration as it is written to a rig file."""
 
         def rounded(values: np.ndarray) -> list[object]:
+            # Adding 0.0 turns -0.0 into 0.0, which reads better in a file.
             plain: list[object] = (np.round(values, digits) + 0.0).tolist()
             return plain
 

@@ -79,6 +79,7 @@ def load_subject(path: Path) -> WornSuit:
             )
         if labels.count(entry.label) > 1:
             raise SettingsError(f"{path}: marker '{entry.label}' stands twice")
+
     markers = BodyMarkers(
         labels=tuple(labels),
         segments=np.array([skeleton.index(entry.segment) for entry in file.markers], dtype=np.int64),

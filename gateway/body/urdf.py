@@ -117,6 +117,7 @@ class _Builder:
 
     def add(self, joint: UrdfJoint, where: str) -> None:
         """Add the link at the end of a joint; a fixed or sliding joint adds it to its parent's segment."""
+        # Poses with all joints at zero, in the axes of the base: a body file has one frame for all segments.
         pose = self._at_zero[joint.parent] @ _transform(joint)
         self._at_zero[joint.child] = pose
         segment = self._segment[joint.parent]
@@ -131,6 +132,7 @@ class _Builder:
                 f"{where}: joint '{joint.name}' is of type '{joint.kind}'; known are revolute, continuous, "
                 "fixed and prismatic (taken as fixed)"
             )
+
         own = self._new_name(joint.child)
         self._segment[joint.child] = own
         self._origin[own] = pose[:3, 3]
