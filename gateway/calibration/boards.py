@@ -149,6 +149,7 @@ def draw_board(picture: Picture, view: BoardView | None, expected: FloatArray | 
     for index, (corner, pixel) in enumerate(zip(view.corners, view.pixels, strict=True)):
         place = tuple(round(value) for value in pixel)
         cv2.circle(drawn, place, size, (80, 220, 80), 2, cv2.LINE_AA)
+        # First and last corner are numbered: that shows whether the board was taken upside down.
         if index == 0 or corner == view.corners[-1]:
             cv2.putText(
                 drawn, str(corner), place, cv2.FONT_HERSHEY_SIMPLEX, 0.8, (255, 160, 0), 2, cv2.LINE_AA

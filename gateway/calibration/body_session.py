@@ -176,7 +176,9 @@ class BodySession:
             elif step.kind is Kind.MOVEMENT and segment in step.turns:
                 rate = readings.angular_rate[readings.rows(span), module]
                 found.movements[step.name] = movement_axis(rate, readings.interval_s)
+
         if self.uses_field and pose_spans:
+            # Steps beside the poses show whether the field is the same where the wearer moves.
             others = [span for (_, m), span in self.spans.items() if m == module and span not in pose_spans]
             found.earth_field = field_heading(readings, module, pose_spans, self.suit.magnetic_field, others)
         return found
@@ -187,6 +189,7 @@ class BodySession:
         poses, axes, fields = [], [], {}
         for segment, found in zip(self._segments, findings, strict=True):
             terms = self._axis_terms(segment, found)
+            # A field that changed during the steps is iron nearby, and says nothing of north.
             is_trusted = found.earth_field is not None and found.earth_field.change < TRUSTED_FIELD_CHANGE
             axes += terms
             if is_trusted and found.earth_field is not None and found.poses:
@@ -195,17 +198,20 @@ class BodySession:
                 turn = quaternion.to_matrix(
                     quaternion.from_rotation_vector(pose_rotation(name, found.segment))
                 )
+                # Arms that are held up waver more than a body that stands.
                 is_arm = bool(np.any(pose_rotation(name, found.segment)))
                 sigma = (ARMS_UP_SIGMA if is_arm else POSE_SIGMA) + 0.5 * pose.moved_rad
                 poses.append(PoseTerm(segment, pose.R_es, neutral @ turn, sigma))
         equations = self._equations(readings, {term.segment for term in poses})
         axes += self._hinges(readings, {term.segment for term in axes}, set(equations))
+
         told = _reached({term.segment for term in axes} | set(fields), equations, skeleton.parents.tolist())
         for segment, found in zip(self._segments, findings, strict=True):
             found.has_no_heading = bool(found.poses) and segment not in told
         poses = [term for term in poses if term.segment in told]
         posed = {term.segment for term in poses}
         axes = [term for term in axes if term.segment in posed]
+        # A module without heading can only be told by a joint that connects it to one with a heading.
         equations = {
             child: one for child, one in equations.items() if {child, int(skeleton.parents[child])} <= posed
         }

@@ -118,11 +118,13 @@ class _Unknowns:
         self.row = {segment: k for k, segment in enumerate(used)}
         n, j = len(used), len(problem.equations)
         self.joined = list(problem.equations)
+        # Rotation, place and heading of each module, a vector for each joint, and the wearer's heading.
         self.size = n * 7 + j * 3 + 1
         self._cuts = np.cumsum([3 * n, 3 * n, n, 3 * j])
         self.scales = np.concatenate(
             [np.full(3 * n, 0.1), np.full(3 * n, 0.03), np.full(n, 0.1), np.full(3 * j, 0.02), [0.1]]
         )
+
         self.facing, self.headings, self.R_bs = _start(problem, used)
         self.force_sigma = dict(force_sigma or dict.fromkeys(self.joined, 0.5))
         self._pose_rows = np.array([self.row[t.segment] for t in problem.poses])
@@ -172,6 +174,7 @@ class _Unknowns:
         c, p = self.row[child], self.row[int(self.problem.parents[child])]
         rho_1 = R_bs[p].T @ (places[p] - joints[k])
         rho_2 = R_bs[c].T @ places[c]
+        # The worst of the three axes: the verdict is about the module as a whole.
         folded = equations.residuals(rho_1, rho_2, float(headings[c] - headings[p]))
         weighed: FloatArray = folded / (self.force_sigma[child] * np.sqrt(_SLOWNESS))
         return weighed
@@ -206,6 +209,7 @@ class _Unknowns:
         sigmas[1, self.used] = np.sqrt(place.reshape(n, 3).max(axis=1))
         for child, rms in self.forces(x).items():
             sigmas[2, child] = rms
+
         own = np.full(s, np.nan)
         own[self.used] = headings
         return Solution(q, found_places, found_joints, own, _wrapped(facing), *sigmas)
@@ -222,8 +226,10 @@ def _start(problem: Problem, used: list[int]) -> tuple[float, FloatArray, FloatA
     seen = {s: _bearing_of_axis(problem, first[s]) for s in used}
     right = {s: bearing for s, bearing in seen.items() if bearing is not None}
     known = [problem.fields[s][0] + right[s] for s in right if s in problem.fields]
+    # Angles are averaged on the circle: 359° and 1° have the mean 0°, not 180°.
     facing = float(np.angle(np.mean(np.exp(1j * np.array(known))))) if known else 0.0
     told = {s: facing - bearing for s, bearing in right.items()}
+    # Where the field is trusted, it is better than the assumption that axes are level.
     told |= {s: heading for s, (heading, _) in problem.fields.items()}
     told = _spread(told, problem)
     if set(used) - set(told):

@@ -44,6 +44,7 @@ def place_cameras(
 
     Raises ``GatewayError`` for a camera that shares no instant with others.
     """
+    # Turned by half a turn it is the same board, and each camera may count its corners from another end.
     if not board.has_direction and len(lenses) > 1:
         raise GatewayError(
             f"a checkerboard of {board.columns}×{board.rows} inner corners looks the same upside down, and "
@@ -61,6 +62,7 @@ def place_cameras(
         [_vector(pose) for pose in cameras if pose is not None]
         + [_vector(pose) for pose in boards if pose is not None]
     )
+    # Instants that no chain reaches have no first estimate, and are left out.
     used = [views for views, pose in zip(instants, boards, strict=True) if pose is not None]
     return _result(board, lenses, used, _adjusted(board, lenses, used, poses))
 
@@ -113,6 +115,7 @@ def _adjusted(
     stays."""
     n = len(lenses)
     free = np.ones(len(start), dtype=bool)
+    # The first board is the world: moving everything together changes no picture.
     free[6 * n : 6 * n + 6] = False
     whole = start.copy()
 
@@ -125,6 +128,7 @@ def _adjusted(
         ]
         return np.concatenate(rest)
 
+    # Softened, because a corner found wrongly would pull everything.
     done = least_squares(residuals, start[free], method="trf", x_scale="jac", loss="soft_l1")
     whole[free] = done.x
     return whole

@@ -61,6 +61,7 @@ def load_cameras(path: Path, up: Axis | None = None, unit: str = "m") -> tuple[C
     for name in names:
         if names.count(name) > 1:
             raise SettingsError(f"{path}: two cameras are named '{name}'")
+    # Lengths are checked before anything is made of them: they decide whether rays meet.
     _refuse_wrong_unit(cameras, path)
     return upright(cameras, up or "z")
 

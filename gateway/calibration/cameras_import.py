@@ -44,6 +44,7 @@ def import_cameras(path: Path, unit: str = "m") -> tuple[Camera, ...]:
         raise SettingsError(f"{path}: calibrations of cameras end in {', '.join(_READERS)}")
     if not cameras:
         raise SettingsError(f"{path}: holds no camera")
+
     for camera in cameras:
         checked(camera, str(path))
     return cameras
@@ -66,6 +67,7 @@ def _qualisys_camera(element: Element, path: Path) -> Camera:
     field = _fields_of(element, f"{path}: camera '{name}'")
     view, lens, place = field("fov_video_max"), field("intrinsic"), field("transform")
     left, top = view("left"), view("top")
+    # Qualisys counts lengths in fractions of a pixel, from the sensor's corner and not the picture's.
     length = {key: lens(key) / _QUALISYS_SUBPIXELS for key in _QUALISYS_LENGTHS}
     axes = np.array([[place(f"r{row}{column}") for column in (1, 2, 3)] for row in (1, 2, 3)])
     rotation = _BACKWARD_TO_FORWARD @ axes
@@ -124,6 +126,7 @@ def _read_toml(path: Path, metres: float) -> tuple[Camera, ...]:
         content = tomllib.loads(_text(path))
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"{path}: is not TOML: {error}") from error
+    # anipose and Pose2Sim have their tables at the top, Caliscope below one name.
     below = content.get("cameras")
     if isinstance(below, dict):
         content = {f"cam_{key}" if key.isdigit() else key: table for key, table in below.items()}
@@ -139,6 +142,7 @@ def _toml_camera(key: str, table: Mapping[str, Any], metres: float, where: str) 
     if table.get("fisheye"):
         raise SettingsError(f"{where} is a fisheye camera: undistort its pictures first")
     width, height = _numbers(table, "size", (2,), where)
+    # A rotation vector in some programs, a matrix in others: the count of numbers tells.
     turn = _numbers(table, "rotation", None, where)
     if turn.size not in (3, 9):
         raise SettingsError(

@@ -126,6 +126,7 @@ def write_board_pictures(board: Board, result: CamerasResult, folder: Path) -> i
     for camera, lens, pictures in zip(result.cameras, result.lenses, result.lens_pictures, strict=True):
         poses = iter(lens.poses)
         for each in pictures:
+            # Poses exist for views alone, in their order.
             expected = None if each.view is None else _expected(board, lens, each.view, *next(poses))
             _write(
                 folder / f"{camera.name}_lens_{each.name}.jpg", draw_board(each.picture, each.view, expected)

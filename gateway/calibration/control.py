@@ -94,6 +94,7 @@ class CalibrationControl:
                 "this gateway has no configuration file to keep measures for: start it with "
                 "`mocap-gateway run -c FILE`"
             )
+        # Poses that were taken with another body would be solved against the wrong lengths.
         if self._session is not None:
             raise GatewayError("poses have been begun, with the body as it was: cancel them, then measure")
         subject, body = self._rig.keep_subject(changes)
@@ -146,6 +147,7 @@ class CalibrationControl:
     def _status(self, _request: Request) -> dict[str, Any]:
         if self._session is None:
             return {"phase": "idle"}
+
         is_busy = self._running is not None and not self._running.done()
         left = max(self._ends_at - asyncio.get_running_loop().time(), 0.0) if is_busy else 0.0
         names = {self._pipeline.suit.module_of_segment[s]: n for s, n in self._named()}

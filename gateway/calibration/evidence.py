@@ -54,6 +54,7 @@ def readings_of(frames: Sequence[ImuFrame], suit: WornSuit) -> Readings:
         np.stack([getattr(frame, name) for frame in frames])
         for name in ("specific_force", "angular_rate", "magnetic_field")
     )
+    # Values that were held or predicted are no measurements.
     is_new = np.stack([frame.status <= Status.INTERPOLATED for frame in frames])
     known = np.isfinite(force).all(axis=2) & np.isfinite(rate).all(axis=2) & is_new
     even_force, even_rate = (np.zeros((len(grid), n, 3)) for _ in range(2))
@@ -62,6 +63,7 @@ def readings_of(frames: Sequence[ImuFrame], suit: WornSuit) -> Readings:
     R_es = np.full((len(grid), n, 3, 3), np.nan)
     for m in range(n):
         rows = known[:, m]
+        # So few samples are a module that has just been switched on.
         if rows.sum() < 20:
             continue
         heard[:, m] = _near(grid, times[rows], _BRIDGED * interval_ns)
@@ -71,6 +73,7 @@ def readings_of(frames: Sequence[ImuFrame], suit: WornSuit) -> Readings:
         if with_field.sum() > 20:
             even_field[:, m] = _evenly(grid, times[with_field], field[with_field, m])
         solved = offlineVQF(even_rate[:, m].copy(), even_force[:, m].copy(), None, interval_ns * 1e-9)
+        # The bias found over the whole recording is better than any that was known before.
         even_rate[:, m] -= solved["bias"]
         R_es[:, m] = Rotation.from_quat(solved["quat6D"], scalar_first=True).as_matrix()
     return Readings(grid, interval_ns * 1e-9, even_force, even_rate, even_field, heard, R_es)
@@ -137,14 +140,18 @@ def field_heading(
     known = np.isfinite(magnetic).all(axis=1) & readings.heard[rows, module]
     if known.sum() < 20:
         return None
+
     level = np.einsum("tij,tj->ti", readings.R_es[rows[known], module], magnetic[known])
     in_pose = rows[known] < 0
     for span in poses:
         in_pose |= (readings.time_ns[rows[known]] >= span[0]) & (readings.time_ns[rows[known]] <= span[1])
+    # Steps were done without a pose: then no heading is known for certain.
     if not in_pose.any():
         return None
+
     turn = np.arctan2(field[1], field[0]) - np.arctan2(level[in_pose, 1], level[in_pose, 0])
     heading = float(np.angle(np.mean(np.exp(1j * turn))))
+    # A running mean: single readings are too noisy to judge the field by.
     strength = _running(np.linalg.norm(magnetic[known], axis=1))
     return FieldHeading(
         heading,

@@ -57,8 +57,10 @@ class KeptRig:
         target = self.target
         if target.resolve() == self.configured.resolve():
             return True
+        # Somebody changed the configuration by hand meanwhile: that counts more than this.
         if self.config is None or load_yaml(self.config).get("rig") != self.rig:
             return False
+        # A name without folder still holds when the whole folder is moved.
         is_beside = target.parent.resolve() == self.config.parent.resolve()
         name = target.name if is_beside else str(target.resolve())
         text = self.config.read_text(encoding="utf-8")

@@ -31,6 +31,7 @@ def fed(session: SensorSession, stream: Stream, makers: MakersModules) -> Iterat
 
     def take_others(samples: Sequence[Sample], chunk: Chunk) -> None:
         for module, _, _, measured, _ in samples:
+            # Other makers mark a sensor that was not read by NaN, our own packets by None.
             force, rate, field = (None if math.isnan(each[0]) else each for each in measured)
             session.add(module, chunk.arrived_ns, force, rate, field)
 

@@ -48,6 +48,7 @@ def gyroscope_bias(stretches: Sequence[RestStretch], wanted_s: float = 3.0) -> G
     """Return the bias from all stretches at rest. Raises ``ValueError`` when there is none."""
     if not stretches:
         raise ValueError("the module never lay still for a second")
+    # A long stretch says more than a short one.
     weights = [stretch.duration_s for stretch in stretches]
     rates = np.stack([stretch.angular_rate for stretch in stretches])
     bias = np.average(rates, axis=0, weights=weights)
@@ -124,11 +125,13 @@ def six_positions(positions: FloatArray, gravity: float) -> EllipsoidResult:
     askew = np.degrees(np.arccos(np.clip(cosines.max(axis=1), -1.0, 1.0))).max()
     if askew > 10.0:
         raise ValueError(f"one position lay askew by {askew:.0f}°: a levelled surface and a cube are needed")
+    # Gravity exactly along an axis of the cube is taken for granted: the table must be level.
     truth = gravity * sides[np.argmax(cosines, axis=1)]
     design = np.column_stack([truth, np.ones(len(truth))])
     distortion = np.linalg.lstsq(design, positions, rcond=None)[0]
     bias, matrix = distortion[3], np.linalg.inv(distortion[:3].T)
     corrected = (positions - bias) @ matrix.T
+
     left = np.linalg.norm(corrected, axis=1) / gravity - 1.0
     lengths = np.linalg.norm(positions, axis=1)
     fit = EllipsoidFit(
@@ -173,6 +176,7 @@ def magnetometer_ellipsoid(readings: FloatArray, strength: float) -> EllipsoidRe
     readings = readings[np.isfinite(readings).all(axis=1)]
     if len(readings) < Shape.SYMMETRIC.parameters:
         raise ValueError("no readings of a magnetometer")
+    # A first centre between the extremes is good enough to sort readings by direction.
     centre = 0.5 * (readings.min(axis=0) + readings.max(axis=0))
     chosen = evenly(readings, centre, _A_CELL)
     fit = fit_ellipsoid(chosen, strength, Shape.SCALE)
@@ -180,6 +184,7 @@ def magnetometer_ellipsoid(readings: FloatArray, strength: float) -> EllipsoidRe
         raise ValueError(
             "it was turned too little, or in a field that varies: turn it about all its axes, away from iron"
         )
+    # Soft iron needs all directions: with fewer, nine parameters would follow noise.
     if fit.coverage >= _SYMMETRIC_COVERAGE:
         fit = fit_ellipsoid(evenly(readings, fit.bias, _A_CELL), strength)
     return EllipsoidResult(fit, len(chosen), _magnetometer_quality(fit, chosen, strength))
