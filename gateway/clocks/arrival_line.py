@@ -70,10 +70,12 @@ class ArrivalLine:
             return arrived_ns
         expected_ns = self._line_ns + intervals * self.interval_ns
         late_ns = arrived_ns - expected_ns
+        # So far off the line is no delay: the device was restarted, or paused for long.
         if abs(late_ns) > _ANEW_NS:
             self._begin(arrived_ns)
             return arrived_ns
         pull = max(_PULL, 1.0 / self._samples)
+        # Early arrivals pull the line fully, as nothing arrives before it was sent; late ones only a little.
         self._line_ns = expected_ns + min(late_ns, pull * late_ns) + self._paused(late_ns)
         self.lateness_ns += _LATENESS_GAIN * (arrived_ns - self._line_ns - self.lateness_ns)
         return int(self._line_ns)

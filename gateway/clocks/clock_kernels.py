@@ -27,6 +27,7 @@ def full_count(clock: Clock, stamp_us: int, arrived_ns: int) -> int:
 
     stamp_us: 32 bits of its count; arrived_ns: gateway time, ns.
     """
+    # Whatever is unusual is left to Python, which has the same rules and the rarer cases.
     counter = clock.counter
     if counter.is_running == 0 or counter.is_late != 0:
         return UNUSUAL
@@ -36,6 +37,7 @@ def full_count(clock: Clock, stamp_us: int, arrived_ns: int) -> int:
         expected_us = counter.newest_us + (arrived_ns - clock.heard_ns) // MICROSECOND_NS
     else:
         return UNUSUAL
+    # The counter has 32 bits: the nearest full count to the expected one is meant.
     ahead_us = ((stamp_us - expected_us + _HALF_US) & _MASK) - _HALF_US
     full_us: int = expected_us + ahead_us
     if ahead_us > EARLY_US or ahead_us < -LATE_US or full_us < counter.newest_us - OVERTAKEN_US:

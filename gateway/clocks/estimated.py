@@ -115,6 +115,7 @@ class EstimatedClock(Row):
             time_ns = follow_usual(self._rows, module_time_us, arrived_ns)
             if time_ns != UNUSUAL:
                 return time_ns
+
         since_ns = arrived_ns - self._start_ns
         full_us = self._counter.full_us(module_time_us, self._expected_us + since_ns // 1000, arrived_ns)
         if full_us is None:
@@ -124,10 +125,12 @@ class EstimatedClock(Row):
         self._elapsed[packets] = elapsed_us
         self._delays[packets] = since_ns * 1e-3 - elapsed_us
         self._packets = packets + 1
+
         if elapsed_us >= self._block_end_us or packets >= MOST_PACKETS:
             self._close_block(elapsed_us)
         since_fit_us = elapsed_us - self._fit_us
         offset_us = self._offset_us + self._rate * since_fit_us
+        # After a new fit the offset moves over gradually: a step would look like motion.
         if self._correction_us and since_fit_us < self._fade_us:
             offset_us += self._correction_us * (1.0 - since_fit_us / self._fade_us)
         time_ns = self._start_ns + elapsed_us * 1000 + int(offset_us * 1000.0)

@@ -88,9 +88,11 @@ class ReferenceInstants:
             self._first_us = datum.time_us
         if module == self._reference:
             self._instants.append(datum)
+        # Data of modules that are not of the rig are ignored here.
         elif module in self._data:
             self._data[module].append(datum)
         sets = []
+        # Whatever comes first: too late to wait, too many waiting, or complete.
         while self._instants and (
             self._instants[0].time_us <= due_us
             or len(self._instants) > self._depth

@@ -110,6 +110,7 @@ def clock_table(
         i: np.array([counts[i] for counts in repetitions]).mean(axis=0) for i in modules
     }
     k = np.arange(1, lengths.pop() + 1)
+    # By the last count: over the longest time the crystals differ most clearly.
     ranking = rank_by_crystal({i: float(row[-1]) for i, row in mean.items()})
     return ClockTable(
         reference=ranking[0],

@@ -57,6 +57,7 @@ class TableClock:
         """Gateway time of a sample, ns, from the module's counter (µs) and the packet's arrival."""
         expected_us = self._start_us + self._counts_per_us * self._estimate.count_us(arrived_ns)
         full_us = self._counter.full_us(module_time_us, int(expected_us), arrived_ns)
+        # The counter began anew: offsets of before hold no longer, the rate does.
         if full_us is None:
             full_us = self._start_us = module_time_us
             self._ahead_us = None
@@ -67,9 +68,11 @@ class TableClock:
             self._counts_per_us = counted_us / corrected_us
         estimated_ns = self._estimate.gateway_time(round(corrected_us) % 2**32, arrived_ns)
         reference = self._clocks.reference
+
         if reference is None or reference is self:
             return estimated_ns
         if self._ahead_us is None or self._reference_restarts != reference.restarts:
+            # Until both have run for a while, the offset between them is not known well enough to be frozen.
             if min(corrected_us, reference.corrected_us) < FREEZE_US:
                 return estimated_ns
             self._reference_restarts = reference.restarts
