@@ -103,6 +103,7 @@ def fragment(frame: WireFrame, fd: bool = False) -> list[CanFrame]:
     payload = _payload(frame)
     size = data_limit(fd)
     pieces = [payload[start : start + size] for start in range(0, len(payload), size)]
+    # CAN FD has frames of certain lengths only; the header says how many of the bytes count.
     if fd:
         pieces[-1] = pieces[-1].ljust(_fd_length(len(pieces[-1])), b"\x00")
     base = identifier(frame.kind, frame.module, version=frame.version)
@@ -166,12 +167,14 @@ class CanFrameDecoder:
         records, is_broken = split_records(chunk)
         entries: list[Entry] = []
         for flagged_identifier, fd_flags, data in records:
+            # Other traffic on the bus is counted, never decoded.
             if flagged_identifier & OWN_MASK != OWN_PATTERN:
                 self.dropped[Defect.FOREIGN] += 1
                 continue
             stream = (flagged_identifier & STREAM_MASK) >> STREAM_SHIFT
             index = flagged_identifier & INDEX_MASK
             pieces = self._partial.get(stream)
+            # A first piece, or one out of sequence: then all of the frame is void, up to its last piece.
             if not index or pieces is None or len(pieces) != index:
                 pieces = self._pieces_before(stream, index)
             if pieces is not None:

@@ -75,6 +75,7 @@ def render(modules: Sequence[int], sensors: Sequence[str] = ALL_SENSORS) -> str:
         ),
         "\n".join(text for m in messages for text in _multiplex_texts(m)),
     ]
+    # DBC files are read in many code pages: only ASCII is safe.
     return "\n\n".join(sections).translate(_SPELT_OUT) + "\n"
 
 

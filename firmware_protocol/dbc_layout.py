@@ -57,6 +57,7 @@ def multiplexed_signals(layout: Layout) -> list[Signal]:
 
     One that moves as others come and go is named for its first byte where it is not in its last place.
     """
+    # One combination for every set of optional fields: each may move those behind it.
     combinations = range(1 << sum(f.presence_bit is not None for f in layout.fields))
     signals: dict[tuple[str, int], Signal] = {}
     masks: dict[tuple[str, int], list[int]] = {}
@@ -64,6 +65,7 @@ def multiplexed_signals(layout: Layout) -> list[Signal]:
         for signal in packet_signals(layout, mask):
             signals[signal.name, signal.bit] = signal
             masks.setdefault((signal.name, signal.bit), []).append(mask)
+    # The last place, with all fields present, keeps the plain name.
     last = {name: max(bit for other, bit in signals if other == name) for name, _ in signals}
     return [
         replace(
@@ -89,6 +91,7 @@ def _parts(signal: Signal, start: int, stop: int) -> Iterator[Signal]:
     if start <= signal.bit and end <= stop:
         yield replace(signal, bit=signal.bit - start)
         return
+    # A signal cut by a frame's end: the high part weighs as many bits more as the low one has.
     is_low = signal.bit >= start
     width = stop - signal.bit if is_low else end - start
     weight = 1.0 if is_low or signal.is_float else 2.0 ** (start - signal.bit)
@@ -97,6 +100,7 @@ def _parts(signal: Signal, start: int, stop: int) -> Iterator[Signal]:
         name=f"{signal.name}_{'low' if is_low else 'high'}",
         bit=max(signal.bit - start, 0),
         width=width,
+        # Only the highest part has the sign; a cut float has no meaning of its own.
         is_signed=signal.is_signed and not is_low and not signal.is_float,
         is_float=False,
         factor=signal.factor * weight,

@@ -34,6 +34,7 @@ def elements_of(declared: WireField, value: Any, saturates: bool = False) -> Seq
         sent = components
         elements = components if declared.code == "f" else [operator.index(x) for x in components]
     else:
+        # What will be sent is checked, not what was given: rounding may leave the allowed range.
         elements = [_nearest(x, declared.scale) for x in components]
         sent = [element * declared.scale for element in elements]
     if not declared.accepts(sent if declared.count > 1 else sent[0]):
@@ -43,6 +44,7 @@ def elements_of(declared: WireField, value: Any, saturates: bool = False) -> Seq
             raise ValueError("too large for a 32-bit float")
         return components
     low, high = INTEGER_RANGE[declared.code]
+    # The code for "absent" must not be sent as a number.
     if not saturates and any(
         not low <= element <= high or element == declared.absent for element in elements
     ):

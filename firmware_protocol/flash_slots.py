@@ -112,6 +112,7 @@ class SlotStore:
         not fit a slot, FlashError when the flash reads back otherwise.
         """
         current = self._current()
+        # Always the slot that is not in use: the other one survives whatever happens now.
         slot, generation = (0, 1) if current is None else (1 - current[0], current[1].generation + 1)
         generation %= _GENERATIONS
         image = encode_slot(generation, settings)
@@ -119,6 +120,7 @@ class SlotStore:
             raise ValueError(f"settings of {len(image)} bytes: a slot holds {self._slot_size}")
         start = slot * self._slot_size
         self._flash.erase(slot)
+        # The magic last: until it stands, a loss of power leaves the slot invalid and the old one in use.
         self._flash.program(start + _MAGIC_SIZE, image[_MAGIC_SIZE:])
         if self._flash.read(start + _MAGIC_SIZE, len(image) - _MAGIC_SIZE) != image[_MAGIC_SIZE:]:
             raise FlashError(f"slot {slot} reads back otherwise than programmed; the other one stays in use")

@@ -40,10 +40,12 @@ def unstuff(encoded: bytes) -> bytes | None:
         length = raw[place]
         raw[place] = 0
         place += length
+        # A full block of 254 bytes ends without a zero: the place of one is removed again.
         if length == _LONGEST:
             ends_of_full.append(place)
     if place > n:
         return None
+    # From behind, so that the places still to be removed do not move.
     for end in reversed(ends_of_full):
         del raw[end : end + 1]
     return bytes(raw[1:])
