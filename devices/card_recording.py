@@ -60,6 +60,7 @@ def convert_card_file(
     start_ns: gateway time at which the file was begun; None: such that the recording ends at ``end_ns``.
     Raises OSError as ``open`` does.
     """
+    # Read twice: where the recording begins follows from its length, if only its end is known.
     duration_us = max((elapsed_us for elapsed_us, _ in _arrivals(source, FrameDecoder())), default=0)
     base_ns = end_ns - duration_us * 1000 if start_ns is None else start_ns
     chunks = 0
@@ -67,6 +68,7 @@ def convert_card_file(
     session = session_record({LINK: Framing.BYTE_STREAM}, begun_ns=str(base_ns), name=target.stem)
     with DerivedRecordingWriter(target, session, {}, base_ns, replaces=True) as recording:
         for elapsed_us, frame in _arrivals(source, decoder):
+            # Without the clock of the host no arrival is known: each frame stands as a chunk of its own.
             chunk = Chunk(encode_frame(frame), base_ns + elapsed_us * 1000, LINK)
             recording.add_chunk(chunk, Framing.BYTE_STREAM)
             chunks += 1

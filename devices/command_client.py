@@ -147,8 +147,10 @@ class CommandClient:
         A link that is lost meanwhile shows in that commands are not answered.
         """
         readers: list[asyncio.Task[None]] = []
+        # On links read here, the decoders know who sends; elsewhere the stream does.
         self.senders = lambda link: self._decoders[link].senders if link in self._decoders else ()
         try:
+            # Readers are cancelled before links are closed, so that none of them reports a loss.
             for link in self.links.values():
                 await link.open()
                 self._decoders[link.name] = LinkDecoder(link.framing)
@@ -216,12 +218,14 @@ class CommandClient:
 
         Returns why it went out on none of them, or None.
         """
+
         target = exchange.target
         sequence = self._sequences[target]
         self._sequences[target] = (sequence + 1) % 2**16
         frame = wire_frame(exchange.command, target, sequence, self._clock_ns() // 1000 % 2**32)
         link = None if device is None else self.link_of.get(device)
         sender = "" if device is None else self.sender_of.get(device, "")
+        # A device that has moved to another link must still be found: then all links are tried.
         chosen = [self.links[link]] if link in self.links else list(self.links.values())
         unsent = LinkError("there is no link to send a command on: configure one")
         failures = 0
@@ -229,6 +233,7 @@ class CommandClient:
             sent = SentChunk(host_bytes(frame, each.framing), self._clock_ns(), each.name)
             try:
                 async with asyncio.timeout(_SEND_TIMEOUT_S):
+                    # A link whose other end reads nothing must not keep commands from the others.
                     await each.write(sent.data, [sender] if sender else self.senders(each.name))
                 if self.on_sent is not None:
                     self.on_sent(sent)

@@ -66,6 +66,7 @@ class Configurator:
 
         Takes a little more than a second, and a quarter of one when all that were there the last time answer.
         """
+        # Both at once: each broadcast waits for the slowest device.
         hellos, infos = await asyncio.gather(
             self.client.ask_all(Verb.HELLO, *SUPPORTED, known=self._present),
             self.client.ask_all(Verb.GET_INFO, known=self._present),
@@ -73,6 +74,7 @@ class Configurator:
         answers = {**infos, **hellos}
         self._present = frozenset(answers)
         await self._ask_again_for_infos(answers)
+        # Health carries the module id alone: of two devices with one id nobody knows whose it is.
         sharing = {
             conflict.module
             for conflict in conflicts({unique_id: answer.module for unique_id, answer in answers.items()})
@@ -128,6 +130,7 @@ class Configurator:
         if not self.client.allow_writes:
             raise WritesLockedError("writing settings")
         encoded = {name: encoded_setting(name, value) for name, value in wanted.items()}
+        # What somebody else staged and never committed would be committed along.
         await self._discard(unique_id)
         before = await self.read(unique_id, wanted)
         missing = {name: raw for name, raw in encoded.items() if encoded_setting(name, before[name]) != raw}
@@ -136,9 +139,11 @@ class Configurator:
         for _ in range(_ATTEMPTS):
             if not missing:
                 return Change(unique_id, before, after)
+            # The device will answer under another id: what the roster says of it is void.
             if "module_id" in missing:
                 self.roster = None
             failure = await self._stage_and_commit(unique_id, missing)
+            # Read back what is committed, in any case: only that shows whether the write took.
             after = await self._patiently(partial(self.read_committed, unique_id, wanted))
             missing = {
                 name: raw for name, raw in encoded.items() if encoded_setting(name, after[name]) != raw
@@ -163,11 +168,13 @@ class Configurator:
             raise WritesLockedError("changing module ids")
         before: dict[bytes, int] = {}
         failure: Exception | None = None
+        # One attempt more than a write has: the last round only looks whether all is right.
         for _ in range(_ATTEMPTS + 1):
             try:
                 present = await self._present_ids(wanted)
                 moves = plan_moves(present, wanted, reserved, may_share=may_share)
             except (DeviceError, LinkError, ValueError) as error:
+                # Nothing has been changed yet, so the error itself says it all.
                 if not before:
                     raise
                 failure = error

@@ -95,6 +95,7 @@ async def _restore_ids(
         reason, held = error.reason, error.present
     except (DeviceError, LinkError, ValueError) as error:
         reason = str(error)
+    # Each device by itself: some may have got their ids before others failed.
     for uid, wanted in ids.items():
         now = held[uid]
         if now != wanted:

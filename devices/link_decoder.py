@@ -81,6 +81,7 @@ class SenderDecoders(Generic[Packets]):
     def feed(self, chunk: Chunk) -> Packets:
         """Return the packets that a chunk completes, in order."""
         self._now_ns = chunk.arrived_ns
+        # Taken out and put in again: the dictionary's order is that of the last word.
         sender = self._by_sender.pop(chunk.sender, None) or _Sender(self._make())
         self._by_sender[chunk.sender] = sender
         if len(self._by_sender) > MOST_SENDERS:
@@ -90,6 +91,7 @@ class SenderDecoders(Generic[Packets]):
         if packets:
             sender.valid_ns = chunk.arrived_ns
             self.accepted += len(packets)
+        # A stranger's garbage must not count as damage of the suit's data.
         self.is_trusted = not chunk.sender or sender.valid_ns is not None
         self.is_damaged = self.is_trusted and sender.decoder.damaged != damaged
         if not self.is_trusted:

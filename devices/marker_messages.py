@@ -111,6 +111,7 @@ class MarkerReceiver:
             raise _UnreadableError("not_json") from None
         if not isinstance(content, dict) or not isinstance(content.get("markers"), dict):
             raise _UnreadableError("no_markers")
+
         unit = content.get("unit", "m")
         factor = METRES.get(unit) if isinstance(unit, str) else None
         if factor is None:
@@ -123,12 +124,14 @@ class MarkerReceiver:
         }
         nameless = content.get("unlabelled") or []
         others = [_place(value, factor) for value in nameless] if isinstance(nameless, list) else [None]
+
         sequence = content.get("sequence", self.received)
         if not isinstance(sequence, int):
             raise _UnreadableError("bad_number")
         time_ns = self._time_ns(content, arrived_ns)
         if time_ns is None or None in places.values() or None in others:
             raise _UnreadableError("bad_number")
+        # Two messages of one instant, or a sender that was restarted: time must not go back.
         if time_ns <= self._last_ns:
             raise _UnreadableError("not_later")
         self._last_ns = time_ns

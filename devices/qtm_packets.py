@@ -84,6 +84,7 @@ def message_of(packet: DataPacket, sequence: int, marking: Marking) -> bytes:
     """
     named, nameless = packet.get_3d_markers(), packet.get_3d_markers_no_label()
     places = [] if named is None else named[1]
+    # The names come once, the places in every packet: a project changed meanwhile shows in the number.
     if named is not None and len(places) != len(marking.labels):
         raise QtmPacketError(f"{len(places)} markers, and names for {len(marking.labels)}")
     shown = [

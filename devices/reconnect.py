@@ -101,6 +101,7 @@ class ReconnectingLink:
             await self._until_closed(self._attempt())
             if self._strict and self.status.state is LinkState.DOWN:
                 raise (LinkBusyError if self.status.is_busy else LinkError)(self.status.reason)
+        # Whatever happens, also cancellation, the link is not left half open.
         except BaseException:
             await self.link.close()
             self._closing = None
@@ -124,6 +125,7 @@ class ReconnectingLink:
             except LinkError as error:
                 reason = str(error)
             if not self._closing.is_set():
+                # A link that comes up and fails at once must not be tried without a pause for ever.
                 if has_received or self._clock() - up_since >= self._back_off.longest:
                     self._back_off.reset()
                 await self._give_up(reason)

@@ -136,12 +136,14 @@ class RecordingFile:
         self.position = 0
         with self.path.open("rb") as file:
             reader = StreamReader(file, emit_chunks=True, record_size_limit=LARGEST_RECORD)
+
             try:
                 for record in reader.records:
                     self.position = file.tell()
                     if isinstance(record, DataEnd):
                         break
                     yield record
+                # The closing magic is the last thing written: without it the index may be missing.
                 file.seek(max(self.size - len(MCAP0_MAGIC), 0))
                 if file.read() != MCAP0_MAGIC:
                     self.defect = (
@@ -162,10 +164,12 @@ class RecordingFile:
                 session = dict(record.metadata)
             elif isinstance(record, Attachment):
                 attachments[record.name] = record.data
+            # The head is complete where the first chunk begins; the rest may be gigabytes.
             elif isinstance(record, Chunk):
                 break
         self.defect, self.position = None, 0
         part = "1" if session is None else session.get("part", "1")
+        # Part numbers become file names: anything but a small number is refused.
         if not (part.isascii() and part.isdecimal() and len(part) <= _LONGEST_PART and int(part) > 0):
             raise RecordingError(
                 f"{self.path}: the record '{fmt.SESSION}' is damaged: part {part[:20]!r} is no number from 1"

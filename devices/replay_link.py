@@ -97,10 +97,12 @@ class ReplayLink:
         pace = _Pace(self._speed, self._closing)
         for count, (topic, time_ns, data) in enumerate(self._parts.messages()):
             if count % _MESSAGES_A_TURN == 0:
+                # Other tasks get their turn, however fast the file is read.
                 await (asyncio.sleep(0) if self.hold is None else self.hold())
             if (chunk := fmt.chunk_of(topic, time_ns, data)) is not None:
                 name = self._names.get(chunk.link)
                 await pace.until(time_ns, is_ours=name is not None)
+                # Waiting may have taken long: the link may have been closed meanwhile.
                 if self._closing.is_set():
                     return
                 if name is not None:

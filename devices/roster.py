@@ -64,6 +64,7 @@ class Roster:
         """
         wanted = text.strip().lower()
         number = RELAY if wanted == "relay" else _module_id(wanted)
+        # A number is always a module id: a unique id that begins with it is longer.
         if number is not None:
             found = [device for device in self.devices if device.module == number]
         else:

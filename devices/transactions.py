@@ -140,6 +140,7 @@ class Transactions:
 
         known: of a command to all, the devices that are known to be there.
         """
+        # A number in use would let the device repeat its answer to the other command.
         while self._next in self._open:
             self._next = (self._next + 1) % _TRANSACTIONS
         command = Command(transaction=self._next, verb=int(verb), unique_id=unique_id, arguments=arguments)
@@ -158,6 +159,7 @@ class Transactions:
     def take(self, acknowledgement: Acknowledgement, module: int, link: str) -> Exchange | None:
         """Return the exchange that an acknowledgement advances, if any."""
         exchange = self._open.get(acknowledgement.transaction)
+        # An answer that is late may carry a number that is in use again.
         if exchange is None or exchange.command.verb != acknowledgement.verb:
             self.unexpected += 1
             return None

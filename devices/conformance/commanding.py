@@ -158,8 +158,10 @@ async def repeated_command(bench: Bench) -> None:
     try:
         first = await _answer_to_stop(bench, stop)
         demand(first is not None, "STOP is not answered")
+    # The module must sample again, whatever the test finds.
     finally:
         await bench.ask(Verb.START)
+    # Just as many other commands as it has to remember beside the first.
     for _ in range(ANSWER_MEMORY - 2):
         await bench.ask(Verb.HELLO, *SUPPORTED)
     again = await _answer_to_stop(bench, stop)

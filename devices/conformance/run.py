@@ -31,6 +31,7 @@ async def check_module(
     async with bench.reading():
         await bench.find(device)
         wanted = [rule for rule in RULES if not only or rule.name in only]
+        # Rules about samples look at what has come: they need something to look at.
         if any(rule in STREAMING for rule in wanted):
             await asyncio.sleep(LISTENED_S)
         kept = await backup(bench) if allow_writes else {}
@@ -38,6 +39,7 @@ async def check_module(
             for rule in wanted:
                 yield await _finding(bench, rule, allow_writes)
         finally:
+            # Only what differs is written back.
             changed = {name: raw for name, raw in kept.items() if await held(bench, name) != raw}
             if changed:
                 await write(bench, changed)

@@ -161,6 +161,7 @@ async def even_sampling(bench: Bench) -> None:
         steps([each.received.module_time_us for each in found], _STAMPS),
         strict=True,
     )
+    # Per step of the sequence number: lost samples must not look like long intervals.
     intervals = [step_us / max(step, 1) for step, step_us in numbered if step < 1000]
     median = statistics.median(intervals)
     demand(

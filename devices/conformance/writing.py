@@ -140,6 +140,7 @@ async def acts_by_settings(bench: Bench) -> None:
         since = bench.mark()
         came = await bench.until(lambda: len(samples(bench, since)) >= 26, 2 * PATIENCE_S)
         demand(came, "too few samples at 25 Hz")
+        # The first sample may still be of the old rate.
         found = [each.received.module_time_us for each in samples(bench, since)][1:26]
         interval_s = median(steps(found, 2**32)) * 1e-6
         demand(

@@ -52,6 +52,7 @@ def calibration_motion(
         *_free(rows, times["free"], rng, faults.effort),
         *_wobble(rows, times, rng, faults.wobble),
     ]
+    # The pelvis goes down by as much as the bent knees shorten the legs.
     begin, end = times["squat"]
     depth = pulses(0, 2, _KNEE_BEND * faults.effort, begin + 0.3, end - 0.3, 2)
     leg = _length(body, "left_shank") + _length(body, "left_foot")
@@ -223,6 +224,7 @@ def _wobble(
     }
     for step, names in moved.items():
         begin, end = times[step]
+        # The second half deviates the other way, so that repetitions disagree.
         middle = 0.5 * (begin + end)
         for name in names:
             if name in rows:

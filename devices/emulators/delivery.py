@@ -110,6 +110,7 @@ class Delivery:
         times = np.array([timed.time_s for timed in sent]) + settings.latency
         if settings.jitter:
             times += rng.exponential(settings.jitter, len(sent))
+        # A stream keeps its order: whatever is delayed delays all that follows.
         times = np.maximum.accumulate(np.maximum(times, self._last_s))
         self._last_s = times[-1]
         if settings.batching:

@@ -215,6 +215,7 @@ class EmulatedDevice:
         self._responder = CommandResponder(self)
         self._sample_settings = SampleSettings.of(self.settings)
         self._is_sampling = True
+        # Samples planned before a boot belong to another stream.
         self._stream += 1
         self._newest_trigger = None
         self._blinks_until_s = -np.inf
@@ -227,6 +228,7 @@ class EmulatedDevice:
             self._info(),
             self.equipment.info_interval_s,
             self.equipment.health_interval_s,
+            # The first start is no reset.
             resets=self.boots - 1,
         )
         if self.settings.is_factory:

@@ -90,10 +90,12 @@ class EmulatedSuit:
 
         Raises ``ValueError`` for a speed that is not positive, or single bytes on a CAN bus or in datagrams.
         """
+
         if speed is not None and speed <= 0.0:
             raise ValueError(f"speed {speed}: give a positive factor, or None for as fast as it is read")
         if is_byte_by_byte and (transport.framing is Framing.CAN or isinstance(transport, DatagramTransport)):
             raise ValueError("byte by byte needs a byte stream, not a CAN bus or datagrams")
+
         self.transport = transport
         self.counts = SuitCounts()
         self.start_ns = start_ns

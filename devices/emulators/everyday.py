@@ -191,12 +191,15 @@ def foot_at(
     """Ankle (T, 3), heading (T,) and pitch (T,; toes up) of a foot."""
     n = np.clip(np.searchsorted(steps.strikes, times, side="right") - 1, 0, len(steps.strikes) - 1)
     phase = np.clip((times - steps.strikes[n]) * STRIDE_HZ, 0.0, 1.0)
+    # The last step ends with a flat foot, and the first one begins with one.
     stands_still = (n == len(steps.strikes) - 1) & (phase > 0.5 * (stride.flat_from + stride.flat_to))
     phase = np.where(stands_still, 0.5 * (stride.flat_from + stride.flat_to), phase)
     phase = np.where((n == 0) & (phase < stride.flat_to), 0.5 * (stride.flat_from + stride.flat_to), phase)
+    # A stance takes its first half from the step before it, and its second from the step after.
     before = np.append(0.0, steps.size[:-1])[n]
     size = np.where(phase < 0.5 * (stride.flat_from + stride.flat_to), before, steps.size[n])
     angle = size * pitch(stride, phase)
+
     ankle, part = np.empty((len(times), 3)), np.zeros(len(times))
     for pivot, chosen in (
         (leg.heel, phase < stride.flat_to),
@@ -204,6 +207,7 @@ def foot_at(
     ):
         lifted = pivot - _turned(angle[chosen], pivot)
         ankle[chosen] = steps.ankle[n[chosen]] + _ahead(steps.heading[n[chosen]], lifted)
+
     swings = phase >= stride.toe_off
     part[swings] = (phase[swings] - stride.toe_off) / (1.0 - stride.toe_off)
     for k in np.unique(n[swings]):
@@ -262,6 +266,7 @@ def plan_of(
     s, amount = course.travelled(times), course.amount(times)
     phase = _phase(times, course)
     legs = {side: leg_of(body, side) for side in ("left", "right")}
+
     activities = _activities(lap, course, times)
     x, z = course.places(s)
     heading = course.heading(s)
@@ -273,6 +278,7 @@ def plan_of(
     sway = amount * YAW * np.cos(2.0 * pi * phase)
     yaw = sway + radians(12.0) * activities["twist"]
     oblique = -amount * OBLIQUITY * np.cos(2.0 * pi * (phase - 0.17))
+
     own = np.stack([oblique, yaw, -tilt], axis=1)
     R_pelvis = Rotation.from_euler("y", heading[:, None]) * Rotation.from_euler("ZXY", own[:, [2, 0, 1]])
     pelvis = np.stack(
@@ -283,8 +289,10 @@ def plan_of(
         ],
         axis=1,
     )
+    # Legs that would be stretched beyond their length lower the pelvis instead.
     feet = {side: _feet(legs[side], 1.0 if side == "right" else -1.0, course, stride, times) for side in legs}
     pelvis[:, 1] -= _giving_way(legs, feet, pelvis, R_pelvis, amount)
+
     plan = Plan(times, pelvis, R_pelvis, heading)
     for side, leg in legs.items():
         ankle, foot_heading, foot_pitch = feet[side]
@@ -494,12 +502,14 @@ def planned_lap(
     period_s = lap.period(stride.length * STRIDE_HZ)
     n = round(period_s * GRID_HZ)
     step_s = period_s / n
+    # A margin at both ends, so that the spline is as smooth where the lap repeats.
     times = np.asarray(step_s * np.arange(-_MARGIN, n + _MARGIN + 1), np.float64)
     plan = plan_of(body, lap, stride, times, np.random.default_rng([seed, 5]))
     angles = np.zeros((len(times), body.n_segments, 3))
     for segment, turns in plan.turns.items():
         if segment in body.segment_names:
             angles[:, body.segment_names.index(segment)] = turns
+
     R_reference = Rotation.from_quat(body.reference_posture[0], scalar_first=True)
     world = R_reference.apply(plan.pelvis)[:, None]
     facing = np.zeros((len(times), 1, 3))

@@ -69,11 +69,14 @@ def _stride(foot: Foot, stance: int, phase: FloatArray) -> tuple[FloatArray, Flo
             (there, next_yaw, 0.0, foot.leg.heel),
         )
     )
+
     knots = [gait.toe_off, 1.0]
+    # Position and derivatives agree at both ends: the foot leaves and meets the floor without a jerk.
     swing = BPoly.from_derivatives(knots, [off, strike])
     part = np.clip((phase - gait.toe_off) / (1.0 - gait.toe_off), 0.0, 1.0)
     ankle = swing(np.maximum(phase, gait.toe_off))
     ankle[:, 1] += gait.clearance * (4.0 * part * (1.0 - part)) ** 4
+
     stands = phase < gait.toe_off
     for pivot, chosen in (
         (foot.leg.heel, stands & (phase < gait.flat_to)),
@@ -81,6 +84,7 @@ def _stride(foot: Foot, stance: int, phase: FloatArray) -> tuple[FloatArray, Flo
     ):
         for i in np.flatnonzero(chosen):
             ankle[i] = _lifted(foot, here, yaw, pitch, phase[i], pivot)[0]
+    # A polynomial whose first three derivatives vanish at both ends.
     turn = part**4 * (35.0 - 84.0 * part + 70.0 * part**2 - 20.0 * part**3)
     return ankle, yaw + turn * (next_yaw - yaw), pitch(phase)
 

@@ -63,6 +63,7 @@ class FirmwareMemory:
             raise ValueError(f"a unique id has {UNIQUE_ID_SIZE} bytes, not {len(unique_id)}")
         page = unique_id + struct.pack("<B3xI", is_locked, first_count_us)
         with path.open("wb") as file:
+            # Erased flash reads as ones.
             file.write(bytes([_ERASED]) * (_N_SLOTS * SLOT_SIZE) + page)
             file.truncate(SIZE)
         memory = cls(path)

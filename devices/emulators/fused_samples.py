@@ -49,10 +49,12 @@ class FusedOutput:
         interval, displacement = self._since_last(instants, sensed.position)
         error = Rotation.from_rotvec(self._settings.fused_orientation * noise[:, :3])
         orientation = Rotation.from_matrix(self._R_ew @ sensed.R_ws) * error
+
         rows = np.zeros(len(instants), _DTYPE)
         displacement = displacement + self._settings.fused_displacement * noise[:, 3:]
         for name, values in (
             ("orientation", orientation.as_quat(canonical=True, scalar_first=True)),
+            # An upload that covers no time has no displacement, not even noise.
             ("displacement", displacement * (interval > 0.0)[:, None]),
             ("interval", interval),
         ):

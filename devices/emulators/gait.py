@@ -218,6 +218,7 @@ def planned_motion(
     before = int(np.ceil((steady_s - fade.rest_s) / step))
     grid = np.arange(-before - _MARGIN, STEPS_OF_GRID + _MARGIN + 1)
     times = np.asarray(steady_s + step * grid, np.float64)
+
     angles = np.zeros((len(times), body.n_segments, 3))
     axial = pelvis.evaluate(times[:, None], fade.evaluate(times[:, None]))[1].value[:, 0]
     facing = path.heading(times).value + axial
@@ -226,6 +227,7 @@ def planned_motion(
         leg = leg_of(body, side)
         foot = Foot(leg, gait, path, first_strike_s=path.start_s + (0.55 + delay) * stride_s)
         angles[:, leg.segments] = leg_angles(leg, place, facing, *foot_path(foot, times))
+
     spline = make_interp_spline(times, angles.reshape(len(times), -1), k=_DEGREE)
     knots = times[_MARGIN:-_MARGIN]
     powers = [spline.derivative(m)(knots[:-1]) / factorial(m) for m in range(_DEGREE, 0, -1)]

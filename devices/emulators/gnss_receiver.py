@@ -84,6 +84,7 @@ def _nmea(
         "stdLong": round(sigma, 3),
         "stdAlt": round(2 * sigma, 3),
     }
+    # GST before GGA: a receiver of positions then knows the accuracy of this epoch already.
     kinds = (("RMC", rmc), ("GST", gst), ("GGA", gga))
     sentences = [NMEAMessage("GN", kind, GET, hpnmeamode=1, **values).serialize() for kind, values in kinds]
     return b"".join(sentences)
@@ -100,6 +101,7 @@ def _ubx(
     clock = {"year": at.year, "month": at.month, "day": at.day, "hour": at.hour, "min": at.minute}
     clock |= {"second": at.second, "nano": at.microsecond * 1000, "validDate": 1, "validTime": 1}
     where = {"lat": round(place[0], 7), "lon": round(place[1], 7), "height": round(place[2] * 1e3)}
+    # Accuracies in mm; horizontal and speed errors are those of several axes together.
     errors = {"hAcc": round(emulation.sigma_m * 1414), "vAcc": round(emulation.sigma_m * 2000)}
     message = UBXMessage(
         "NAV",

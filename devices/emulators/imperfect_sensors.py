@@ -45,6 +45,7 @@ class ImperfectSensors:
         sigma = self._noise * math.sqrt(sampling_rate_hz / _NOISE_RATE_HZ)
         if self._is_noisy and n:
             noise = self._rng.standard_normal((n, 4, 3)).transpose(1, 0, 2)
+            # The bias wanders from sample to sample, and goes on from there with the next call.
             walk = self._walk / math.sqrt(sampling_rate_hz)
             gyroscope_bias = self.gyroscope_bias + walk * noise[3].cumsum(axis=0)
             self.gyroscope_bias = gyroscope_bias[-1]

@@ -72,6 +72,7 @@ class InertialSampler:
                 bodies[place] = FusedSample.KIND, fused.encode(sampling.instants, at, sampling.stream)
             else:
                 raw.append(place)
+
         encoded = self._encode_raw([samplings[place] for place in raw], [sensed[place] for place in raw])
         for place, of_one in zip(raw, encoded, strict=True):
             bodies[place] = self._encoder.kind, of_one

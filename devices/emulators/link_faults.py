@@ -88,6 +88,7 @@ class LinkFaults:
                 arrivals = [sent._replace(time_s=sent.time_s + fault.delay)]
             case BitErrors() if self._strikes(fault.share):
                 arrivals = [sent._replace(data=self._turned(sent.data))]
+            # Chance spared this transmission, so it is not counted.
             case _:
                 return [sent]
         self.counts[fault.kind] += 1

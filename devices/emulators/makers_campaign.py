@@ -237,6 +237,7 @@ def run(language: Language, n_damaged: int, seed: int) -> Verdict:
             number = verdict.n_messages
             verdict.n_messages += 1
             data = language.message(rng, number)
+            # Decoded alone, the message says what it must come out as.
             contents = list(map(repr, language.decoder().feed(data))) or [repr(data)]
             known.update(dict.fromkeys(contents, number))
             sent = (_damaged_on_can if language.is_can else _damaged)(rng, data, before)
@@ -249,13 +250,16 @@ def run(language: Language, n_damaged: int, seed: int) -> Verdict:
             if sent.way is not None:
                 verdict.damaged[sent.way] += 1
                 last_way = sent.way
+            # Anything that comes out and was never sent is damage that was not noticed.
             strange = [each for each in found if each not in known]
             if strange:
                 verdict.corrupt[last_way] += 1
+            # A decoder may lose a few messages after damage while it finds its place again.
             if since_damage > _RECOVERED:
                 awaited.update(dict.fromkeys(contents, number))
             for each in found:
                 awaited.pop(each, None)
+
         known = {content: number for content, number in known.items() if number > verdict.n_messages - BLOCK}
         verdict.lost += [content for content in awaited if content not in known]
         awaited = {content: number for content, number in awaited.items() if content in known}

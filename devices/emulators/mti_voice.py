@@ -86,6 +86,7 @@ class MtiVoice(Voice):
         match asked.mid:
             case Mid.GO_TO_CONFIG | Mid.GO_TO_MEASUREMENT:
                 self.is_measuring = asked.mid == Mid.GO_TO_MEASUREMENT
+            # While it measures, an MTi obeys nothing but the order to stop.
             case _ if self.is_measuring:
                 return b""
             case Mid.REQUEST_DEVICE_ID:

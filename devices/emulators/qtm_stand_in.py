@@ -101,6 +101,7 @@ class QtmStandIn:
         """Asked for; 0 lets the system choose, and tells here once it is started."""
         self.sent = 0
         """Frames, to all clients."""
+
         self._up = up
         self._newest = newest
         self._left_out = frozenset(left_out)

@@ -84,6 +84,7 @@ def read_ring_chain5(trial: Path, kind: str = "rigid", root_marker: int | None =
         modules.append(track_of(segment, name, times, acc, gyr, mag))
         q_wb = np.stack([optical[f"seg{segment}_quat_{axis}"] for axis in "wxyz"], axis=1)
         references.append(ReferenceTrack(name, optical_times, q_wb))
+
     markers = range(1, 5) if root_marker is None else [root_marker]
     root = np.mean([triple(optical, f"seg1_marker{marker}") for marker in markers], axis=0)
     local = LocalTrack(LOCAL_DEVICE, "root", optical_times, POSITION, root, _OPTICAL_SIGMA_M)

@@ -138,6 +138,7 @@ def track_of(
     rate = absent if angular_rate is None else angular_rate
     if magnetic_field is None or not np.isfinite(magnetic_field).any():
         return ModuleTrack(module, name, times, specific_force, rate, absent)
+    # Public recordings give the field in many units, or as a share: only its direction is common.
     scale = NOMINAL_FIELD_UT / float(np.nanmean(np.linalg.norm(magnetic_field, axis=1)))
     return ModuleTrack(module, name, times, specific_force, rate, magnetic_field * scale, scale)
 

@@ -63,6 +63,7 @@ class SampleEncoder:
             if ranges is not None:
                 limit = np.minimum(limit, np.rint(ranges[declared.name] / scale))
             elements = np.rint(readings[declared.name] / scale)
+            # As a real module does: one flag for the sensor, whichever axis is at its end.
             is_clipped = (np.abs(elements) > limit).any(axis=1)
             rows["mask"] |= is_clipped.astype(np.uint8) << self._clipped_bit[declared.name]
             rows[declared.name] = np.clip(elements, -limit, limit)

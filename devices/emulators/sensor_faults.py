@@ -56,6 +56,7 @@ class SensorFaults:
             return self._not_finite(timed) if isinstance(packet, LocalMeasurement) else timed
         if not isinstance(packet, InertialSample | InertialSampleFine):
             return timed
+        # A magnet disturbs the magnetometer alone, whatever the plan says.
         sensor = "magnetic_field" if isinstance(fault, Magnet) else fault.sensor
         value = getattr(packet, sensor)
         if value is None:

@@ -110,6 +110,7 @@ class SuitTraffic:
     def advance(self, to_s: float) -> list[Transmission]:
         """Return all that arrives between the last call's time and ``to_s`` (motion time, s), in order."""
         for at_s, received, addressee in self.from_host.before(to_s):
+            # A trigger is sent once over the air, so all modules hear it at nearly one time.
             on_air_s = self._broadcaster.on_air(at_s) if received.kind == SamplingTrigger.KIND else None
             for number, device in self.devices.items():
                 if addressee not in (None, number):
@@ -118,6 +119,7 @@ class SuitTraffic:
                 heard = radio.arrivals(at_s) if on_air_s is None else radio.receptions(on_air_s)
                 for arrival_s in heard:
                     device.hear(arrival_s, received)
+
         on_air = [
             (number, self._faults[number].apply(sorted(sent, key=attrgetter("time_s"))))
             for number, sent in self._sent_by_module(to_s).items()
@@ -125,7 +127,9 @@ class SuitTraffic:
         if self._relay is not None:
             packets = [timed for _, sent in on_air for timed in sent]
             on_air = [(RELAY, self._relay.forward(packets, to_s))]
+
         for number, sent in on_air:
+            # Numbered, so that transmissions of one instant keep their order in the heap.
             for transmission in self._deliveries[number].deliver(self._in_reach(sent)):
                 heapq.heappush(self._pending, (transmission.time_s, self._order, transmission.data, number))
                 self._order += 1
@@ -204,6 +208,7 @@ class SuitTraffic:
                     sent[number] += self._locals[number].sample(sampling, planned)
             else:
                 inertial += samplings
+        # All modules at once: evaluating the motion for many instants costs little more than for one.
         self._look_ahead(inertial, to_s)
         for sampling, frames in zip(inertial, self._sampler.sample(inertial), strict=True):
             sent[sampling.device] += frames

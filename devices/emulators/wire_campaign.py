@@ -154,6 +154,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     begin = time.monotonic()
+
     step = max(arguments.frames // 20, 2 * BLOCK_SIZE)
     shown = 0
 

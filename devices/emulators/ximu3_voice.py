@@ -119,6 +119,7 @@ class Ximu3Voice(Voice):
             case "apply" | "save":
                 self._apply(device)
             case _ if key in self.settings:
+                # A key without value asks; one with a value stages it until it is applied.
                 if value is not None:
                     self._staged[key] = value
                 return encode_command(key, self._staged.get(key, self.settings[key]))

@@ -126,11 +126,13 @@ def _read(path: Path, *, partial: bool) -> _Motion:
         raise FormatError(
             f"{path}: line {at + 2}: 'Frames: N' and 'Frame Time: SECONDS' are wanted behind MOTION"
         )
+    # Frame times are rounded in most files: 0.0333333 means 30 Hz.
     rate_hz = 1.0 / seconds
     rate_hz = round(rate_hz) if abs(rate_hz - round(rate_hz)) < _SAME_RATE * rate_hz else rate_hz
     values, notes = _values(
         lines, at + 3, sum(len(joint.channels) for joint in joints), path, partial=partial
     )
+
     if len(values) != int(told[1]):
         notes += (f"{path}: {len(values)} frames, of which 'Frames:' tells {told[1]}: all that are there",)
     if len(values) < 2:
@@ -152,6 +154,7 @@ def _values(
         except ValueError as error:
             message = f"{path}: line {number}: {error}"
             if partial:
+                # A file that was cut off ends in the middle of a line.
                 return np.array(rows).reshape(-1, count), (f"{message}: the frames before it are taken",)
             raise FormatError(f"{message}; --partial imports the frames before it") from None
         rows.append(row)
@@ -170,6 +173,7 @@ def _hierarchy(lines: list[str], path: Path) -> list[_Joint]:
             name = " ".join(words[1:]).removesuffix("{").strip()
             joints.append(_Joint(name, open_joints[-1] if open_joints else -1, np.zeros(3)))
             open_joints.append(len(joints) - 1)
+        # An end site has an offset too, which belongs to no joint.
         elif kind == "END":
             open_joints.append(-1)
         elif kind == "OFFSET" and open_joints:

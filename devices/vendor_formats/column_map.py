@@ -109,9 +109,11 @@ def read_mapped_csv(
         file = path if mapped.file is None else folder / mapped.file
         if file is None:
             raise FormatError(f"module '{mapped.name}' of the map names no file, and none was given")
+        # Several modules may stand in one file, which is read once.
         if file not in sheets:
             sheets[file] = _sheet(file, mapped, columns, partial)
         read.append(_module(sheets[file], mapped, columns))
+
     zero = min(times[0] for times, _ in read)
     for number, (mapped, (times, rows)) in enumerate(zip(columns.modules, read, strict=True)):
         add_tracks(number, mapped.name, times - zero, rows, modules, fused)

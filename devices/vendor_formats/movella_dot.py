@@ -60,6 +60,7 @@ def _module(sheet: Sheet) -> tuple[FloatArray, FloatArray]:
     counter = unwrapped(table[:, 0], _COUNTER_BITS, sheet.path, "PacketCounter")
     stamps = unwrapped(table[:, 1], _STAMP_BITS, sheet.path, _STAMP).astype(np.float64) * np.float64(1e-6)
     readings = np.full((len(table), 13), np.nan)
+    # The app writes rates in degrees.
     for column, name in enumerate(sensors, start=2):
         scale = np.pi / 180 if name.startswith("Gyr") else 1.0
         readings[:, _SENSORS.index(name)] = table[:, column] * scale

@@ -52,6 +52,7 @@ def read_mvnx(path: Path, *, partial: bool = False) -> Recording:
     except (ParseError, DefusedXmlException) as error:
         where = getattr(error, "position", None)
         place = f", line {where[0]}, column {where[1] + 1}" if where else ""
+        # A long session that was cut off is still worth reading up to there.
         note = f"{path}{place}: not XML from there on, as a file is that was cut off ({error})"
         if not partial:
             raise FormatError(f"{note}; --partial imports the frames before it") from error
@@ -67,6 +68,7 @@ def read_mvnx(path: Path, *, partial: bool = False) -> Recording:
 def _recording(path: Path, found: _Found, note: str | None) -> Recording:
     refuse_repeats(found.labels)
     index = np.array(found.index, dtype=np.int64)
+    # Missing frames are gaps, but frames out of order are no recording.
     if (np.diff(index) <= 0).any():
         raise FormatError(f"{path}: the indices of its frames do not grow")
     times, values = spread(index, (index - index[0]) / found.rate_hz, np.array(found.orientations), path)
@@ -76,6 +78,7 @@ def _recording(path: Path, found: _Found, note: str | None) -> Recording:
         FusedTrack(module, label, times, turned(values[:, 4 * module : 4 * module + 4]))
         for module, label in enumerate(found.labels)
     )
+
     local: tuple[LocalTrack, ...] = ()
     if len(found.positions) == len(index):
         _, way = spread(index, times[index - index[0]], np.array(found.positions), path)

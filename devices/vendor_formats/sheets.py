@@ -128,12 +128,14 @@ def open_sheet(
     """
     lines = read_lines(path)
     for index, line in enumerate(lines[:_HEADER_LINES]):
+        # The character that is most frequent in the line: commas may also be in numbers or names.
         delimiter = max(_DELIMITERS, key=line.count)
         names = [name.strip() for name in line.split(delimiter)]
         if is_header(names):
             rows = lines[index + 1 :]
             while rows and not rows[-1].strip():
                 rows.pop()
+            # Lines may end with a delimiter, which names no column.
             while names and not names[-1]:
                 names.pop()
             return Sheet(path, tuple(lines[:index]), tuple(names), rows, delimiter, is_partial)

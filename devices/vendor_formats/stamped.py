@@ -28,6 +28,7 @@ def stamped_tracks(
     modules: list[ModuleTrack] = []
     fused: list[FusedTrack] = []
     for module, (label, (times, rows)) in enumerate(zip(labels, tables, strict=True)):
+        # Without synchronisation the stamps of different modules have nothing in common.
         begin = times[0] if align == "start" else zero
         add_tracks(module, label, times - begin, rows, modules, fused)
     return modules, fused

@@ -64,6 +64,7 @@ def _module(folder: Path, partial: bool, notes: list[str]) -> tuple[FloatArray, 
     """
     times, inertial = _table(folder / INERTIAL, 6, partial, notes)
     readings = np.full((len(times), 13), np.nan)
+    # The file has the gyroscope first, our rows the accelerometer.
     readings[:, :3], readings[:, 3:6] = inertial[:, 3:], inertial[:, :3]
     for name, columns in (("Magnetometer.csv", slice(6, 9)), ("Quaternion.csv", slice(9, 13))):
         path = folder / name

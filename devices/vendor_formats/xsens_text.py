@@ -61,6 +61,7 @@ def read_xsens_text(
     rate = rate_hz or next((file.rate_hz for file in files if file.rate_hz), None)
     if rate is None:
         raise FormatError(f"{paths[0]} does not tell its rate ('// Update Rate: …'): give it with --rate")
+    # Modules of one measurement have one rate; different ones are files of different measurements.
     odd = next((file for file in files if file.rate_hz and abs(file.rate_hz - rate) > 1e-6), None)
     if odd is not None and rate_hz is None:
         raise FormatError(f"{odd.path} has {odd.rate_hz:g} Hz, {paths[0]} {rate:g} Hz: import them apart")
@@ -68,6 +69,7 @@ def read_xsens_text(
     modules: list[ModuleTrack] = []
     fused: list[FusedTrack] = []
     for module, (file, label, start) in enumerate(zip(files, labels, starts, strict=True)):
+        # Counters tell which rows are missing; their differences between modules tell when each began.
         index = file.counter - file.counter[0]
         times, rows = spread(index, (start + index) / rate, file.readings, file.path)
         add_tracks(module, label, times, rows, modules, fused)
@@ -121,6 +123,7 @@ def read_mt_file(path: Path, *, partial: bool = False) -> MtFile:
             readings[:, first : first + 3] = table[:, start : start + 3]
     if turn_names:
         readings[:, 9:] = turned(table[:, -len(turn_names) :])
+
     rates = [
         checked_rate(float(found.group(1)), path) for line in sheet.preamble if (found := _RATE.match(line))
     ]

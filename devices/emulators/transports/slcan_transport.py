@@ -74,6 +74,7 @@ class SlcanTransport:
         letter = command[0] if command else 0
         if letter in _SENDING:
             self.frames_received += 1
+            # As adapters do: frames are refused until the channel is opened.
             if not self.is_channel_open:
                 return _REFUSED
             if frames := self._lines.feed(command + b"\r"):
