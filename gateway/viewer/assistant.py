@@ -67,6 +67,7 @@ class Assistant(StepTab):
         self._port = gui.add_dropdown(self._say("port"), (NOTHING,), visible=False)
         self._connect = self._button("connect", self._connect_port, visible=False)
         self._offer_ports()
+
         look = self._button("look", self._look)
         self._found = gui.add_html("")
         self._write = gui.add_checkbox(self._say("write"), False)
@@ -78,6 +79,7 @@ class Assistant(StepTab):
         self._segment.on_update(lambda _: self._mark(self._chosen_segment()))
         shake = self._button("shake", self._await_shake)
         assign, undo = self._button("assign", self._assign), self._button("undo", self._undo)
+        # These are shown only once modules were heard: before, they would offer what cannot work.
         self._heard = [self._found, self._write, self._device, identify, hint]
         self._heard += [self._segment, shake, assign, undo]
         self._show_listed("", "")

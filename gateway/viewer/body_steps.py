@@ -58,6 +58,7 @@ class BodySteps(StepTab):
         self._length.on_update(lambda _: self._show_length())
         measure = self._button("measure", self._measure)
         begin, resume = self._button("begin", self._begin), self._button("resume", self._resume)
+
         self._before = [why, self._height, self._length, self._metres, measure, begin]
         self._step = gui.add_dropdown(self._say("step"), self._step_names(), initial_value=chosen)
         self._step.on_update(lambda _: self._show_picture())
@@ -69,6 +70,7 @@ class BodySteps(StepTab):
         self._table = gui.add_html(found or "")
         self._accept_button = self._button("accept", self._accept)
         give_up = self._button("give_up", self._end)
+
         self._meanwhile = [self._step, self._picture, do, result, give_up]
         self._offer()
         return [*self._before, resume, *self._meanwhile, self._table, self._accept_button]

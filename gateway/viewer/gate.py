@@ -80,11 +80,13 @@ class Request:
             self.host_name, self.host_port = place.hostname or "", place.port or 80
         except ValueError:
             raise Refused("400 Bad Request", "this is no HTTP request") from None
+        # A body that this gate and the page behind measured differently would smuggle a second request.
         has_body = self.headers.keys() & {"transfer-encoding", "content-length"}
         if (
             method != "GET"
             or not version.startswith("HTTP/1.")
             or has_body
+            # Two headers of one name: which one counts would be for each program to decide.
             or len(pairs) != len(self.headers)
         ):
             raise Refused("405 Method Not Allowed", "the page is read with GET", "Allow: GET")

@@ -33,6 +33,7 @@ class Ghost:
                 f"nothing to compare: the one body has the segments {', '.join(names)}, the other "
                 f"{', '.join(others)}"
             )
+
         self._stage, self._poses = stage, RecordedPoses(arrays)
         self._keeper = PostureKeeper(arrays.skeleton)
         self._later_s = later_s(arrays, of)
@@ -72,8 +73,10 @@ class Ghost:
             self._bodies.visible = is_visible
         if not is_visible:
             return
+
         posture = self._keeper.take(self._poses.pose(self._poses.index_at(time_s - self._later_s)))
         p_w = posture.p_w - self._stage.middle
+        # Only where both places are known can the distance between the bodies mean anything.
         if not (self._is_apart.value and posture.is_placed and beside.is_placed):
             p_w = p_w + beside.place - posture.place
         self._bodies.batched_wxyzs = self._bones.turned(posture.q_wb).astype(np.float32)

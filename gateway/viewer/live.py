@@ -224,9 +224,11 @@ class LiveViewer:
         latest, instant = self._markers.pose_of(markers, self._latest)
         is_stale = self._is_stale()
         red = self._red()
+        # Nothing new: sending the same picture again would cost every page that is open.
         if latest is self._drawn and is_stale == self._was_stale and red == self._was_red:
             return
         self._drawn, self._was_stale, self._was_red = latest, is_stale, red
+
         if self._wires is not None:
             self._add_undrawn(self._wires, self._keeper, latest)
         posture = self._keeper.take(latest.pose)
@@ -262,6 +264,7 @@ class LiveViewer:
             self._stage.follow(posture.place, now_s)
         self._stage.face(posture.q_wb[0])
         self._scene.draw(posture, is_stale=False)
+        # Muscles are computed from accelerations: every pose counts for them, also one that is not drawn.
         self._panel.add_pose(pose)
 
     def _add_undrawn(self, wires: MuscleWires, keeper: PostureKeeper, latest: ReceivedPose) -> None:
@@ -306,7 +309,9 @@ class LiveViewer:
         comes = age is not None and age <= STALE_AFTER_S
         info = poses.infos.get(self._gateway)
         awaited = None if info is None or info.kernels is None else info.kernels.awaited
+
         is_compiling = awaited is not None and poses.states.get(self._gateway) == "online"
+        # In order of importance: of several causes, the first is the one to act on.
         if self._replayed is not None:
             told = self._replayed.text(self._loop.time(), panel.language)
             panel.show_status(say("replay_of", name=self._replayed.name), told, is_alarm=False)

@@ -44,11 +44,13 @@ def module_rows(
     why: Mapping[str, JsonValue] = doubts if isinstance(doubts, dict) else {}
     heard: Mapping[str, JsonValue] = modules if isinstance(modules, dict) else {}
     worn = {str(m.module): m.segment for m in info.modules} if info is not None else {}
+    # Sorted by length first, so that 2 comes before 10.
     names = sorted({*heard, *worn}, key=lambda name: (len(name), name))
     others = {name: say(language, "relay" if name == RELAY_NAME else "not_in_rig") for name in names}
     found: list[tuple[str, ...]] = []
     for name in names:
         place = worn.get(name, others[name])
+        # A module that has gone silent still has its counters of before; shown, they would look alive.
         summary = None if place in silent else heard.get(name)
         row = _row(name, place, summary, language)
         doubt = str(why.get(name, ""))

@@ -53,6 +53,7 @@ class Panel:
         self._listeners: list[Callable[[str], None]] = []
         self._rows: list[tuple[ButtonRow, viser.GuiButtonGroupHandle]] = []
         self._choices: dict[str, viser.GuiInputHandle[bool]] = {}
+
         gui.add_html(STYLE)
         self._warnings = gui.add_html("")
         self._status = gui.add_html("")
@@ -62,6 +63,7 @@ class Panel:
         self._answer = gui.add_html("")
         looks = ButtonRow("camera", VIEWS, lambda _view: None)
         self._add_row(gui, looks, lambda view, client: self._look(view, client, stage))
+
         self.tabs = tabs = gui.add_tab_group()
         self._tabs = {name: tabs.add_tab(say(ENGLISH, name)) for name in ("view", "plot", "modules")}
         with self._tabs["view"]:
@@ -79,6 +81,7 @@ class Panel:
             self._plot = SeriesPlot(server, self.say("last_seconds"))
         with self._tabs["modules"]:
             self._modules = gui.add_html("")
+
         self._shown: dict[int, str] = {}
         self._offered: _Offer | None = None
         self._series: dict[str, tuple[str, str]] = {}

@@ -48,6 +48,7 @@ class Playback:
         self._position_s = 0.0
         self._is_playing = True
         self._name = name
+        # Segments without a module are predicted throughout: for them silence is no fault.
         measured = (arrays.status == Status.MEASURED).any(axis=0)
         self._worn = {segment for segment, was in zip(arrays.segment_names, measured, strict=True) if was}
         skeleton = arrays.skeleton
@@ -55,6 +56,7 @@ class Playback:
         self._stage = Stage(server)
         self._scene, self._keeper = BodyScene(server, self._stage, skeleton), PostureKeeper(skeleton)
         self._wires = muscle_wires(server, self._stage, skeleton, muscles_kg)
+
         self._panel = Panel(
             server, (ButtonRow("playback", ("play", "pause", "begin"), self._press),), self._stage
         )
@@ -63,6 +65,7 @@ class Playback:
         self._line = server.gui.add_slider(say(ENGLISH, "time"), 0.0, end_s, TIME_LINE_STEP_S, 0.0)
         self._trail = Trail(server, self._stage)
         self._ghost = None if compared is None else Ghost(server, self._stage, compared, arrays)
+
         self._line_shown_s = 0.0
         self._drawn = -1
         self._markers = markers
@@ -103,12 +106,14 @@ class Playback:
 
     def _draw(self, index: int) -> None:
         shown_s = round(self._position_s / TIME_LINE_STEP_S) * TIME_LINE_STEP_S
+        # Every assignment is sent to all pages.
         if self._line.value != shown_s:
             self._move_line(shown_s)
         self._line_shown_s = self._line.value
         if index == self._drawn:
             return
         before, self._drawn = self._drawn, index
+
         pose = self._poses.pose(index)
         posture = self._keeper.take(pose)
         silent = silent_segments(pose.status, self._worn)
@@ -122,6 +127,7 @@ class Playback:
         if self._wires is not None:
             self._add_undrawn(self._wires, before, index)
             self._wires.draw(self._times_s[index], posture)
+
         self._panel.add_pose(pose)
         language = self._panel.language
         seconds = f"{self._times_s[index]:.2f}"

@@ -117,6 +117,7 @@ class BodyScene:
         colours = segment_colours(posture.status, posture.sigma_rad, is_stale, self._sides)
         for name in red:
             colours[self._skeleton.index(name)] = COLOURS["missing"]
+        # In one message, so that no page shows half of a new posture.
         with self._server.atomic():
             if self.shows_bones:
                 self._draw_bones(posture, p_w, colours)

@@ -70,6 +70,7 @@ class SensorTab(StepTab):
         self._offer(True, False)
         return await self._watch()
 
+    # Two watches would write over each other's advice.
     async def _watch(self) -> str:
         """Tell what to do until it is enough, or somebody ends it."""
         if self._is_watched:

@@ -49,6 +49,7 @@ class Stage:
         camera = server.initial_camera
         camera.position, camera.look_at = self._seen_from(FIRST_VIEW, is_narrow=False)
         camera.fov = math.radians(FIELD_OF_VIEW_DEG)
+
         self._looks: dict[int, tuple[str, bool]] = {}
         """By client: the view that it was brought to last, and whether its page was narrow then."""
         server.on_client_connect(self._welcome)

@@ -31,6 +31,7 @@ def step_picture(step: str, told: str) -> str:
     figures = _figures().get(step)
     if figures is None:
         return ""
+    # The lowest point of all figures is the floor: a squat then sinks instead of the floor rising.
     lowest = min(float(z) for figure in figures for _, *points in figure for z in points[2::3])
     shown = "".join(
         f'<g opacity="{_FAINTEST + (1 - _FAINTEST) * (k + 1) / len(figures):.2f}">'

@@ -31,8 +31,10 @@ class Trail:
         if not is_wanted:
             self._forget()
             return
+        # Playback has jumped back: what was drawn is not yet.
         if self._places and time_s < self._places[-1][0]:
             self._places.clear()
+        # A spacing in time bounds the number of points, however long the trail.
         if not self._places or time_s >= self._places[-1][0] + SPACING_S:
             self._places.append((time_s, np.array([place[0], place[1], _ABOVE_M])))
         while self._places[0][0] < time_s - SPAN_S:
