@@ -40,8 +40,7 @@ def plan_moves(
     pending = {uid: wanted[uid] for uid in sorted(wanted) if held.get(uid, wanted[uid]) != wanted[uid]}
     moves: list[Move] = []
     while pending:
-        # Ids of devices that stay where they are may be shared again at the end, when a separation is taken
-        # back.
+        # Where ids may be shared at the end, those of devices that have theirs block nobody.
         settled = {held[each] for each in held if each not in pending} if may_share else set()
         uid, after = _next_change(pending, held, {*wanted.values(), *reserved}, settled)
         moves.append(Move(uid, held[uid], after))
