@@ -68,6 +68,7 @@ class Arrivals:
         self._waiting_bytes += len(data)
         self._counts.taken += len(data)
         self._counts.waiting += len(data)
+        # The oldest go first, as poses live on the newest. A chunk larger than the limit still passes.
         while self._waiting_bytes > self._limit_bytes and len(self._chunks) > 1:
             oldest = self._chunks.popleft()
             self._waiting_bytes -= len(oldest.data)
@@ -90,6 +91,7 @@ class Arrivals:
         return self
 
     async def __anext__(self) -> Chunk:
+        # What came before an error or the end is handed over first.
         while not self._chunks:
             if self._error is not None:
                 raise self._error

@@ -66,6 +66,7 @@ class SensorCalibration:
         """
         return SensorCalibration(
             accelerometer_matrix=self.accelerometer_matrix @ first.accelerometer_matrix,
+            # A₂(A₁(y - b₁) - b₂) = A₂A₁(y - (b₁ + A₁⁻¹b₂)).
             accelerometer_bias=first.accelerometer_bias
             + np.linalg.solve(first.accelerometer_matrix, self.accelerometer_bias),
             gyroscope_bias=first.gyroscope_bias + self.gyroscope_bias,

@@ -117,6 +117,7 @@ async def _fetch_rest(
     read: ReadPiece, entry: CardFile, partial: Path, on_progress: Callable[[int], None], step: int
 ) -> None:
     with partial.open("ab") as file:
+        # What an earlier attempt left is not read again.
         done = file.tell()
         on_progress(done)
         while done < entry.size:

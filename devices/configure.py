@@ -290,6 +290,7 @@ class Configurator:
     async def _read_one(self, unique_id: bytes, name: str) -> Value:
         key = setting_key(name)
         for _ in range(_ATTEMPTS):
+            # An answer to an earlier question has another key.
             answered, raw = await self.client.ask(unique_id, Verb.READ_SETTING, key)
             if answered == key:
                 break

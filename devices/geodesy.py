@@ -56,6 +56,7 @@ def geodetic(plane: LocalPlane, enu: FloatArray) -> tuple[float, float, float]:
     """Latitude and longitude (degrees) and height (m) of a place (3,) given in a local plane."""
     x, y, z = (plane._origin + plane._axes.T @ enu).tolist()
     ring = math.hypot(x, y)
+    # Begun with the latitude of a place on the ellipsoid; each round brings height and latitude closer.
     latitude, height = math.atan2(z, ring * (1.0 - ECCENTRICITY_2)), 0.0
     for _ in range(_ROUNDS):
         across = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY_2 * math.sin(latitude) ** 2)

@@ -37,6 +37,7 @@ def line_rate(url: str) -> UartRate | CanRate | None:
     parts = urlsplit(url)
     parameters = dict(parse_qsl(parts.query))
     if parts.scheme in _SERIAL:
+        # A pseudo-terminal has no line whose rate would matter.
         if parts.scheme != "rfc2217" and os.path.realpath(parts.path).startswith("/dev/pts/"):
             return None
         return UartRate(int(parameters.get("baud", DEFAULT_BAUD)))

@@ -36,6 +36,7 @@ class Peers:
         if not self.networks or _is_in(host, self.networks):
             return True
         self._counts.refused += 1
+        # Addresses can be made up: only so many are named, though all are counted.
         if host not in self._refused_hosts and len(self._refused_hosts) < _MOST_REFUSED_NAMED:
             self._refused_hosts.add(host)
             self._log.warning(

@@ -175,8 +175,10 @@ class SenderClock:
         """
         offset, elapsed = arrived_ns - sent_ns, sent_ns - self._sent_ns
         is_later = sequence is not None and sequence > self._sequence
+        # A clock that was set back, or that repeats times under newer numbers, was started anew.
         if self._offset_ns is None or elapsed < -_RESTART_NS or (elapsed <= 0 and is_later):
             self._offset_ns, self._sent_ns = offset, sent_ns
+        # The least delayed message sets the offset, which may grow as fast as the worst clock drifts.
         self._offset_ns = min(self._offset_ns + round(_FASTEST_DRIFT * max(elapsed, 0)), offset)
         self._sent_ns = max(sent_ns, self._sent_ns)
         self._sequence = self._sequence if sequence is None else max(sequence, self._sequence)

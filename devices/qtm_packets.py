@@ -68,6 +68,7 @@ def packets_of(received: bytes) -> tuple[list[bytes], bytes]:
     packets, at = [], 0
     while len(received) - at >= HEADER.size:
         size, _ = HEADER.unpack_from(received, at)
+        # A size that no packet has would have us wait for ever.
         if not HEADER.size <= size <= LARGEST_PACKET:
             raise QtmPacketError(f"a packet of {size} bytes")
         if len(received) - at < size:

@@ -90,6 +90,7 @@ def _set_speed(descriptor: int, baud: int) -> None:
         attributes[4] = attributes[5] = standard
         termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
         return
+    # Other rates go through Linux's termios2, where the rate is a number and not one of a list.
     settings = bytearray(_TERMIOS2.size)
     fcntl.ioctl(descriptor, _TCGETS2, settings)
     iflag, oflag, cflag, lflag, line, characters, _, _ = _TERMIOS2.unpack(settings)

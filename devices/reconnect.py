@@ -180,6 +180,7 @@ class ReconnectingLink:
             closed.cancel()
             if not running.done():
                 running.cancel()
+                # Waited for, so that nothing of the step runs on after the link is closed.
                 await asyncio.wait((running,))
         if not running.cancelled():
             running.result()

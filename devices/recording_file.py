@@ -259,6 +259,7 @@ def plain_json(data: str | bytes) -> Any:
     except RecursionError:
         raise ValueError(f"JSON of more than {DEEPEST_JSON} levels") from None
     level = [found]
+    # Level by level, not by recursion, which such data is meant to exhaust.
     for _ in range(DEEPEST_JSON):
         level = [
             inner
@@ -294,6 +295,7 @@ def _following(file: RecordingFile) -> list[RecordingFile]:
     part = file.head.part + 1
     while (path := part_path(first, part)).is_file():
         following = RecordingFile(path)
+        # A file of that name may be of another session.
         if following.head.session.get("session") != file.head.session.get("session"):
             break
         found.append(following)

@@ -151,6 +151,7 @@ class DerivedRecordingWriter(RecordingWriter):
         self._target = Path(path)
         if not replaces and self._target.exists():
             raise RecordingError(f"{path} exists already: choose another name")
+        # Hidden beside its target, so that nobody takes half a file for a recording.
         unfinished = self._target.with_name(f".{self._target.name}.unfinished")
         unfinished.unlink(missing_ok=True)
         super().__init__(unfinished, session, attachments, created_ns)
@@ -229,6 +230,7 @@ class _Buffered:
             while remaining:
                 remaining = remaining[os.write(self._descriptor, remaining) :]
         except OSError:
+            # A record of which a part was written would spoil all that follow.
             os.ftruncate(self._descriptor, self.written)
             raise
         self.written += length

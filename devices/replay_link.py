@@ -137,6 +137,7 @@ class ReplayLink:
         else:
             self._names = {name: name for name in chosen}
         self.contents = {self._names[name]: content for name, content in chosen.items()}
+        # Not every content is wire frames: markers and the like have no framing.
         framings = (Framing(content) for content in chosen.values() if content in list(Framing))
         self.framing = next(framings, Framing.BYTE_STREAM)
 

@@ -44,6 +44,7 @@ def definition(message: str) -> str:
     first = message.replace("/msg/", "/")
     found, waiting = [first], [first]
     while waiting:
+        # Breadth first: each message type once, in the order in which it is first needed.
         for line in _FIELDS[waiting.pop(0)].splitlines():
             kind = line.split()[0].partition("[")[0]
             if kind in _FIELDS and kind not in found:

@@ -61,6 +61,7 @@ class SerialLink:
 
         Raises ``LinkError`` when the link is closed or lost before all is written.
         """
+        # One writer at a time: frames of two must not mix on the line.
         async with self._write_turn:
             remaining = memoryview(data)
             while remaining:

@@ -126,6 +126,7 @@ def identifier(
         "last": int(is_last),
         "index": index,
     }
+    # A number too large for its part would change the part beside it unnoticed.
     for name, part in parts.items():
         if part << IDENTIFIER_SHIFT[name] > _MASK[name]:
             raise ValueError(f"{name} {part} does not fit a CAN identifier")

@@ -66,6 +66,7 @@ def split_records(data: bytes) -> tuple[list[Record], bool]:
     while stop + _RECORD.size <= len(data):
         flagged_identifier, fd_flags, length = _RECORD.unpack_from(data, stop)
         start = stop + _RECORD.size
+        # A length that leads beyond the data is damage: nothing says where the next record begins.
         if start + length > len(data) or length > data_limit(bool(fd_flags & FD)):
             return records, True
         stop = start + length
@@ -87,6 +88,7 @@ def _pack(frame: CanFrame) -> bytes:
 
 def _unpack(flagged_identifier: int, fd_flags: int, data: bytes) -> CanFrame:
     return CanFrame(
+        # The flags are the three bits above the identifier's 29, and ERROR is the lowest of them.
         identifier=flagged_identifier & (ERROR - 1),
         data=data,
         is_extended=bool(flagged_identifier & EXTENDED),

@@ -164,6 +164,7 @@ class TransferSender:
         """Return the pieces to be sent by now."""
         pieces: list[TransferPiece] = []
         while self.outcome is Outcome.SENDING and now_ns >= self._time_ns:
+            # All that was allowed is sent, and the receiver has not answered in time.
             if self._next == self._limit and not self._retry():
                 break
             pieces.append(self._piece(self._next))
@@ -184,6 +185,7 @@ class TransferSender:
 
     def _follow(self, flow: FlowControl, now_ns: int) -> None:
         if flow.wanted > self._wanted:
+            # The receiver got further: it has as many retries and waits again as at the beginning.
             self._wanted, self._is_granted = flow.wanted, False
             self._retries = self._waits = 0
         if flow.status is FlowStatus.DONE:

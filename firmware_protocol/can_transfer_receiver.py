@@ -144,6 +144,7 @@ class TransferReceiver:
         if reception.is_done:
             self._answer(module, reception.first.transfer, FlowControl(wanted, FlowStatus.DONE))
         elif self.is_busy:
+            # WAIT is repeated at every interval: without it the sender's own time would run out.
             reception.is_waiting = True
             reception.time_ns = now_ns + self.params.wait_interval_ns
             self._answer(module, reception.first.transfer, FlowControl(wanted, FlowStatus.WAIT))

@@ -39,8 +39,10 @@ def can_frame_seconds(data_size: int, bitrate: int, data_bitrate: int | None = N
     bits = 8 * data_size
     if data_bitrate is None:
         stuffed = _CLASSIC_STUFFED + bits
+        # At worst one bit is stuffed after every four that follow the first.
         return (stuffed + (stuffed - 1) // 4 + _TRAILER) / bitrate
     arbitration = _FD_ARBITRATION + (_FD_ARBITRATION - 1) // 4 + _TRAILER
+    # The checksum of CAN FD has its stuff bits at fixed places, and is longer for long data.
     crc, fixed_stuff = (17, 6) if data_size <= _FD_SHORT_DATA else (21, 7)
     payload = _FD_CONTROL + bits
     data = payload + payload // 4 + _FD_STUFF_COUNT + crc + fixed_stuff

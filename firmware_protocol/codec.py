@@ -45,6 +45,7 @@ class BodyCodec(Generic[P]):
 
     def decode(self, body: bytes) -> P | Defect:
         """Return the packet, or why the body is none. Never raises."""
+        # Without a mask there is no layout to look up: too short, and not of an unknown mask.
         if self._has_mask and not body:
             return Defect.BAD_LENGTH
         layout = self._by_mask.get(body[0] if self._has_mask else 0)
@@ -70,12 +71,14 @@ class BodyCodec(Generic[P]):
             value = getattr(packet, declared.name)
             if declared.presence_bit is not None:
                 if value is None:
+                    # What is absent has its bit 0 and takes no bytes.
                     continue
                 mask |= 1 << declared.presence_bit
             elements += self._elements(declared, value, clipped)
         mask |= self._flag_bits(packet, mask, clipped)
         if self._has_mask:
             elements.insert(0, mask)
+        # A field of any size comes last, and is no element of the struct.
         rest = elements.pop() if self._layout.rest else b""
         return struct.pack(self._layout.struct_format(mask), *elements) + rest
 
@@ -96,6 +99,7 @@ class BodyCodec(Generic[P]):
             raise ValueError(f"{where} = {value!r} cannot be sent: {error}") from None
         if saturates:
             limit = INTEGER_RANGE[declared.code][1]
+            # Such a value is sent as the largest there is, with its flag, so that it is known to be wrong.
             if any(abs(element) > limit for element in elements):
                 clipped.add(declared.name)
                 return [max(-limit, min(limit, element)) for element in elements]

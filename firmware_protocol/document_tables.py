@@ -22,6 +22,7 @@ def fixed_table(declared: Sequence[WireField]) -> str:
     for f in declared:
         step = (_scale(f),) if has_steps else ()
         rows.append((_offset(offset), f"`{f.name}`", _type_name(f), f.unit, *step, _meaning(f)))
+        # Behind a field of unknown size no offset is known.
         offset = None if offset is None or f.count == 0 else offset + f.size
     return table(head, rows)
 

@@ -126,6 +126,7 @@ def parse(raw: bytes) -> Entry | Defect:
     if len(raw) < MIN_FRAME_SIZE:
         return Defect.TOO_SHORT
     content = raw[: -_CHECKSUM.size]
+    # The checksum comes before the version, as a damaged version is damage and not another version.
     if _CHECKSUM.unpack_from(raw, len(content))[0] != crc32(content):
         return Defect.BAD_CRC
     version, kind, module, sequence, module_time_us = _HEADER.unpack_from(raw)

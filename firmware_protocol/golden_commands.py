@@ -64,6 +64,7 @@ def command_vectors() -> dict[str, Any]:
 def setting_vectors() -> dict[str, Any]:
     """Return what ``vectors/settings.json`` holds."""
     values = [(key, setting.factory) for key, setting in SETTINGS.items()] + list(OTHER_VALUES.items())
+    # The largest there is: a reader that holds it in a signed number fails.
     generation = 2**32 - 1
     return {
         "protocol_version": PROTOCOL_VERSION,

@@ -16,6 +16,7 @@ from firmware_protocol.packets import PacketDecoder, ReceivedPacket
 def frame_vector(frame: WireFrame) -> dict[str, Any]:
     """Return a wire frame on every link, and the packets it holds."""
     sent = encode_frame(frame)
+    # A body that is too long for a bus has no form there, which is null in the file.
     classic = fragment(frame) if len(frame.body) <= MAX_CLASSIC_BODY_SIZE else None
     fd = fragment(frame, fd=True) if len(frame.body) <= MAX_CAN_BODY_SIZE else None
     return {

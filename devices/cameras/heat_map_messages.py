@@ -140,6 +140,7 @@ def _read(data: bytes) -> HeatMapMessage | None:
             return HeatMapMessage(camera, network, sequence, time_ns, None, np.zeros((2, 3)))
         *affine, maps, rows, columns = _MAPS.unpack_from(body, n + m)
         cells = maps * rows * columns
+        # Before anything is unpacked: a damaged head must not ask for all memory.
         if not (0 < cells <= _LARGEST_MAPS and np.isfinite(affine).all()):
             return None
         packed = body[n + m + _MAPS.size :]

@@ -93,6 +93,7 @@ def _of_file(path: Path) -> list[tuple[NDArray[np.float64], ...]]:
         by_picture.setdefault(_picture_of(entry, path), []).append(_person(entry, path))
     if not by_picture:
         raise FormatError(f"{path}: an empty list")
+    # A picture in which nobody was found has no entry, but counts.
     first, last = min(by_picture), max(by_picture)
     return [tuple(by_picture.get(picture, ())) for picture in range(first, last + 1)]
 

@@ -100,6 +100,7 @@ class VideoFile:
             if not is_read:
                 break
             ms = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
+            # A video's time may begin anywhere: only what has passed since its first picture counts.
             first_ms = first_ms if done else ms
             self._check_time(done, 1e-3 * (ms - first_ms))
             yield round(done * 1e9 / self.info.rate_hz), picture.astype(np.uint8, copy=False)
@@ -166,6 +167,7 @@ class LiveCamera:
             if not text.isdigit():
                 raise CameraError(f"{url}: {key}={text} is no whole number")
             self._capture.set(getattr(cv2, _LIVE_PROPERTIES[key]), int(text))
+        # One picture at most may wait, as only the newest is of use.
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         width, height = _size(self._capture)
         rate = float(self._capture.get(cv2.CAP_PROP_FPS)) or 30.0
@@ -210,9 +212,11 @@ def _mp4_boxes(path: Path) -> list[str]:
     with path.open("rb") as file:
         while len(head := file.read(8)) == 8:
             size, begun = int.from_bytes(head[:4], "big"), file.tell() - 8
+            # A size of 1 says that the real one follows as 64 bits.
             if size == 1:
                 size = int.from_bytes(file.read(8), "big")
             names.append(head[4:].decode("latin-1"))
+            # 0 stands for all the rest of the file; any other below a head's size is damage.
             if size < 8:
                 break
             file.seek(begun + size)

@@ -55,6 +55,7 @@ class Bench:
         self.allows_writes = False
         self.is_lost: str | None = None
         """Why the link is no longer read."""
+        # From the time, since the module may still remember answers to the numbers of an earlier run.
         self._transaction = gateway_time_ns() // 1000 % 2**16
         self._sequences: Counter[int] = Counter()
         self._news = asyncio.Event()

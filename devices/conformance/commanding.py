@@ -145,6 +145,7 @@ async def stop_and_start(bench: Bench) -> None:
         await asyncio.sleep(_STOPPED_S)
         demand(not samples(bench, since), f"{len(samples(bench, since))} samples came after STOP")
     finally:
+        # Also where the rule is broken: the module is left sending, as it was found.
         started = [await bench.ask(Verb.START) for _ in range(2)]
     demand(all(each is not None and each.result == Result.DONE for each in started), "START is not answered")
     demand(await bench.until(lambda: len(samples(bench, since)) > 1), "no samples came after START")
@@ -236,6 +237,7 @@ async def damaged_command(bench: Bench) -> None:
     arguments = encode_arguments(Verb.HELLO, *SUPPORTED)
     frame = bench.frame(Command(number, Verb.HELLO, bench.unique_id, arguments), BROADCAST)
     data = bytearray(host_bytes(frame, bench.link.framing))
+    # A byte that becomes 0 would end the frame there.
     data[-3] ^= 0x55 if data[-3] != 0x55 else 0x33
     await bench.write(bytes(data))
     await demand_silence(bench, number, since, "a command with a wrong checksum")

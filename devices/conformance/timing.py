@@ -48,6 +48,7 @@ async def time_request(bench: Bench) -> None:
         len(found) >= _EXCHANGES // 2, f"{len(found)} of {_EXCHANGES} requests were answered within a second"
     )
     held = sorted((each.packet.sent_us - each.packet.received_us) % _STAMPS for _, _, each in found)
+    # Below zero, the difference of two counters wraps to the upper half.
     demand(held[-1] < _STAMPS // 2, "sent_us is before received_us")
     demand(
         held[len(held) // 2] < _SLOW_US,

@@ -229,6 +229,7 @@ async def _demand_samples_on_triggers(bench: Bench) -> None:
     for number in _TRIGGERS:
         await bench.send(SamplingTrigger(number), bench.module)
         await asyncio.sleep(0.05)
+    # A number that comes twice is the same trigger repeated, and wants one sample.
     wanted = list(dict.fromkeys(_TRIGGERS))
     await bench.until(lambda: len(samples(bench, since)) >= len(wanted))
     await asyncio.sleep(_QUIET_S)

@@ -198,7 +198,7 @@ class BodySession:
                 turn = quaternion.to_matrix(
                     quaternion.from_rotation_vector(pose_rotation(name, found.segment))
                 )
-                # Arms that are held up waver more than a body that stands.
+                # Raised arms waver more than a body that stands.
                 is_arm = bool(np.any(pose_rotation(name, found.segment)))
                 sigma = (ARMS_UP_SIGMA if is_arm else POSE_SIGMA) + 0.5 * pose.moved_rad
                 poses.append(PoseTerm(segment, pose.R_es, neutral @ turn, sigma))

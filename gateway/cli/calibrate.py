@@ -117,6 +117,7 @@ def _calibrated(
 
     board, scene_board = map(board_of, boards)
     lens_pictures = _looked_for(board, lenses, every, "lenses", is_shown=is_shown)
+    # Without pictures of a scene those of the lenses place the cameras, too.
     scene_pictures = lens_pictures
     if scene:
         scene_pictures = _looked_for(scene_board, scene, every, "scene", is_shown=is_shown)

@@ -285,6 +285,7 @@ class _Guide:
         if self._is_emulated:
             begin_s, end_s = timetable()[step.name]
             offset_ns = self._begin_ns
+            # The emulated wearer repeats the script for ever: the step is recorded at its next turn.
             while offset_ns + begin_s * 1e9 < gateway_time_ns():
                 offset_ns = begin_of_script(offset_ns + 1)
             return offset_ns + round(begin_s * 1e9), offset_ns + round(end_s * 1e9)

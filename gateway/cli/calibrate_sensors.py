@@ -246,6 +246,7 @@ async def _listen(
     from gateway.calibration.sensor_feed import fed
 
     stop = asyncio.Event()
+    # Ctrl-C ends the collecting alone: what was collected until then is solved.
     asyncio.get_running_loop().add_signal_handler(signal.SIGINT, stop.set)
     try:
         with fed(session, operations.stream, operations.makers):
@@ -299,6 +300,7 @@ def _target(source: Path, suit: SuitChoice, output: Path | None, force: bool, fl
             raise GatewayError("--flash changes what modules keep: give --allow-writes too")
         return None
     folder = suit.config.parent if suit.config is not None else Path()
+    # A file that was calibrated before is named so already.
     target = output or folder / f"{source.stem.removesuffix('.calibrated')}.calibrated.yaml"
     if not target.parent.is_dir():
         raise GatewayError(f"{target}: there is no folder {target.parent} to write it to")

@@ -403,6 +403,7 @@ async def _found(wanted: Live, poses: PoseSubscriber, windows: Mapping[str, Pose
     origin_ns = windows[wanted.first].newest_ns
     first, second = (windows[name].tracks(poses.bodies[name], origin_ns) for name in windows)
     try:
+        # In a thread, as poses arrive while it computes.
         return await asyncio.to_thread(wanted.alignment.compare, first, second)
     except GatewayError as error:
         return str(error)

@@ -67,7 +67,9 @@ def _ranges(facings: Sequence[int]) -> str:
 
     if len(facings) == len(FACINGS):
         return "any way"
+    # Facings are equally far apart and begin with 0°, so the second is the step.
     step = FACINGS[1]
+    # A range begins where the facing before it is not among them; it may go across north.
     first = [facing for facing in facings if (facing - step) % 360 not in facings]
     last = [
         next(f for f in range(start, start + 360, step) if (f + step) % 360 not in facings) for start in first

@@ -210,6 +210,7 @@ def _startable(settings: GatewaySettings, tell: Callable[[str], object]) -> Gate
         f"'{readiness.FALLBACK}', and the body stays in its place"
     )
     nowhere = subprocess.DEVNULL
+    # In a session of its own the compiler goes on when the demo ends or is interrupted.
     subprocess.Popen(readiness.command(usual), stdout=nowhere, stderr=nowhere, start_new_session=True)
     return settings
 
@@ -394,6 +395,7 @@ def _free_port(preferred: int) -> int:
     """Return the preferred port of the loopback interface, or another one when it is taken."""
     for port in (preferred, 0):
         with socket.socket() as probe:
+            # The port of a demo that has just ended may still be in TIME_WAIT, and can be had all the same.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind(("127.0.0.1", port))

@@ -245,6 +245,7 @@ def _path(suit: WornSuit, seed: int) -> Callable[[float], tuple[FloatArray, Floa
     def place(t: float) -> tuple[FloatArray, FloatArray]:
         state = motion.state(np.array([t - step, t, t + step]))
         places = state.joint_position[:, 0] + state.R_wb[:, 0] @ arm
+        # The velocity is a central difference.
         return places[1], (places[2] - places[0]) / (2.0 * step)
 
     return place
@@ -294,6 +295,7 @@ def _do(line: str, suit: EmulatedSuit, traffic: SuitTraffic) -> tuple[str, bool]
     action, _, name = line.partition(" ")
     if action not in _ACTIONS:
         return f"'{action}' is unknown; {EXPLANATION}", False
+    # A name is understood with blanks, too: "left forearm".
     which: int | str = int(name) if name.isdecimal() else "_".join(name.split())
     try:
         device = traffic.device(which)

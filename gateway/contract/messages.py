@@ -479,6 +479,7 @@ def describe_body(skeleton: Skeleton) -> BodyMessage:
 
 
 def _describe_joint(joint: Joint, segments: tuple[str, ...]) -> BodyJoint:
+    # JSON has no infinity: an angle without a limit has null.
     def degrees(limit: float) -> float | None:
         return round(math.degrees(limit), 6) if math.isfinite(limit) else None
 

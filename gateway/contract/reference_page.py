@@ -114,6 +114,7 @@ def _named(annotation: object) -> str:
     if origin is typing.Literal:
         return " or ".join(f'"{value}"' for value in arguments)
     names = list(dict.fromkeys(_named(each) for each in arguments if each is not Ellipsis))
+    # The keys of JSON's objects are always text: only what the values are is of interest.
     if origin is dict:
         return f"object of ({names[-1]})" if " or " in names[-1] else f"object of {names[-1]}"
     if origin in (tuple, list):

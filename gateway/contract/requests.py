@@ -422,6 +422,7 @@ def asked(family: str, verb: str, data: Mapping[str, Any]) -> Request:
     if verb not in verbs:
         raise GatewayError(f"there is no request '{family}/{verb}'{nearest(verb, verbs)}")
     try:
+        # Former names are replaced first, as the models know today's alone.
         return verbs[verb].model_validate(current(dict(data)))
     except ValidationError as error:
         first = error.errors()[0]

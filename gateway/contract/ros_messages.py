@@ -118,6 +118,7 @@ class JointStateEncoder:
     """Angles of named joints, rad, as ``JointState``; NaN where one is not known."""
 
     def __init__(self, names: Sequence[str], *, has_rates: bool = False) -> None:
+        # The fields of sensor_msgs/JointState in their order: header, names, positions, velocities, efforts.
         layout = _Layout()
         layout.stamp()
         layout.text("")
@@ -228,9 +229,11 @@ class BodyTransforms:
     def encode(self, time_ns: int, q_wb: FloatArray, p_w: FloatArray) -> bytes:
         """Return a ``TFMessage`` with all transforms that are known."""
         known, translations, rotations = self.of(q_wb, p_w)
+        # The layout depends on which segments are known, and that changes seldom: encoders are kept by it.
         key = known.tobytes()
         encoder = self._encoders.get(key)
         if encoder is None:
+            # A body whose segments come and go has ever new layouts, which must not fill the memory.
             if len(self._encoders) >= _MOST_LAYOUTS:
                 self._encoders.clear()
             names = [name for name, is_known in zip(self.names, known.tolist(), strict=True) if is_known]

@@ -114,6 +114,7 @@ async def _brokers_elsewhere(settings: MqttSettings, surroundings: Surroundings)
     for port in surroundings.usual_broker_ports:
         if port == settings.port:
             continue
+        # Any error says the same: no broker that is of use answers there.
         with contextlib.suppress(Exception):
             async with broker_connection(settings, port, unique_identifier("doctor")):
                 found.append(port)

@@ -109,6 +109,7 @@ class Journal:
         """Hold the lock that all processes take before they read or write the file."""
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
+            # A file beside the journal, as the journal itself is replaced whenever it is written.
             lock = os.open(self._path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
             raise self._unusable(error) from error
@@ -123,6 +124,7 @@ class Journal:
     def _wait_for(self, lock: int) -> None:
         end_s = time.monotonic() + _LOCK_PATIENCE_S
         while True:
+            # Without blocking, so that a stopped process that holds the lock is named after a while.
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:

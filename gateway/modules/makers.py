@@ -202,6 +202,7 @@ class MakersModules:
         Raises ``DeviceError`` where several are meant, or the one that is does not answer.
         """
         found = _meant(self._known.values(), name)
+        # A module id of the configuration has a line of its own, which is asked before all are searched.
         for link, module in self._lines:
             if found is None and name.strip() == str(module):
                 found = await self._asked((link, module))

@@ -104,6 +104,7 @@ class _Swing:
         self._n_usual += 1
         gain = -math.expm1(-step_s / _USUAL_TAU_S)
         if is_familiar:
+            # A shake must not become the usual, or the next one would not stand out.
             deviation = min(deviation, 4 * self._usual + _STILL**2)
         else:
             gain = max(gain, 1 / self._n_usual)

@@ -116,6 +116,7 @@ class ModuleOperations:
         except ValidationError as error:
             raise RequestError(f"modules/{verb}: {_first_problem(error)}") from error
         try:
+            # These wait for what modules send: in turn, all others would wait with them.
             if verb in _WAITING:
                 answer = await self._verbs[verb](request)
             else:
@@ -198,6 +199,7 @@ class ModuleOperations:
         roster = await self._discover()
         ids: dict[bytes, int] = {}
         for conflict in roster.conflicts:
+            # The first of those that share an id keeps it.
             for uid in conflict.unique_ids[1:]:
                 spare = spare_id({*self._rig_ids, *roster.ids.values(), *ids.values()})
                 if spare is None:

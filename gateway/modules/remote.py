@@ -50,6 +50,7 @@ class RemoteOperations:
         """
         transaction = secrets.token_hex(8)
         request = orjson.dumps({**data, "transaction": transaction})
+        # An export writes whole files, and takes longer than anything else.
         longest_s = _EXPORT_S if verb == "export" else _ANSWER_S
         try:
             await self._client.publish(self._topics.request(f"{self._family}/{verb}"), request, qos=1)

@@ -278,6 +278,7 @@ class ModuleStates:
         """Yield topics (below the gateway's) and messages that are due. Call it a few times a second."""
         if self._started_ns is None:
             self._started_ns = now_ns
+        # Modules appear whenever they are heard first.
         for module, record in self._stream.modules.items():
             if module not in self._watched:
                 self._watched[module] = _Watched(module, self._names.get(module))

@@ -112,6 +112,7 @@ class _Modules:
             if found is None:
                 found = ModuleFindings(module, self._names.get(module, ""), self._bins)
                 self.found[module] = found
+            # Counters run from the beginning of the recording: a bin has what came since the last look.
             lost, received = self._before.get(module, (0, 0))
             figures = record.clock.figures()
             found.lost[self._bin] = record.lost - lost

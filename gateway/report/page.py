@@ -133,6 +133,7 @@ def _heading_pitch_roll(poses: SkeletonArrays) -> FloatArray:
         angles[known] = turned.as_euler("ZYX")
     angles = angles.reshape(*shape, 3)
     for s in range(shape[1]):
+        # np.unwrap hands a NaN on to all that follows, so instants without a pose are left out.
         whole = np.isfinite(angles[:, s, 0])
         angles[whole, s] = np.unwrap(angles[whole, s], axis=0)
     degrees: FloatArray = np.degrees(angles)

@@ -99,6 +99,7 @@ def _delay(name: str) -> dict[str, float]:
 
 def _chunks(suit: WornSuit, framing: Framing) -> Iterator[Chunk]:
     """Yield what modules at rest send: both samples, one by one and, in a byte stream, relayed too."""
+    # One framing after the other, in module time that never runs backwards.
     offset_us = list(Framing).index(framing) * _INSTANTS * _INTERVAL_US
     for k in range(_INSTANTS):
         time_us = offset_us + (k + 1) * _INTERVAL_US
@@ -108,6 +109,7 @@ def _chunks(suit: WornSuit, framing: Framing) -> Iterator[Chunk]:
         )
         sequence = time_us // _INTERVAL_US
         frames = [wire_frame(sample, module, sequence, time_us) for module in suit.module_ids]
+        # Every other pair comes in a relay's batches, which take another path through the decoder.
         if framing is Framing.BYTE_STREAM and k % 4 >= 2:
             frames = [
                 relay_batch(frames[first : first + 4], sequence, time_us)

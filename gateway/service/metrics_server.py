@@ -76,6 +76,7 @@ class MetricsServer:
         """Take the address, without answering yet; a second call does nothing. Raises ``OutputError``."""
         if self._server is not None:
             return
+        # The standard library makes a handler from a class for each request: a subclass gives it the owner.
         handler = type("Handler", (_Handler,), {"owner": self})
         try:
             self._server = _Server((self._host, self.port), handler)

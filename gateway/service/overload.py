@@ -109,6 +109,7 @@ class LoadWatch:
         }
 
     def _decide(self, least: float, now_s: float) -> bool:
+        # A backlog that shrinks asks for nothing more, however long it is.
         is_draining = least < self._before_s - DRAINED_S
         self._before_s = least
         self._late_ticks = self._late_ticks + 1 if least > LATE_S and not is_draining else 0
@@ -121,6 +122,7 @@ class LoadWatch:
         calm_s = 0.0 if self._calm_since_s is None else now_s - self._calm_since_s
         if self.stage > 0 and calm_s >= (self._patience_s if self._lasts else CAUGHT_UP_S):
             return self._give_back(now_s)
+        # Calm for so long that the next overload counts as the first.
         if self.stage == 0 and calm_s >= self._patience_s:
             self._patience_s, self._lasts = CALM_S_FIRST, False
         return False

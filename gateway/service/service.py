@@ -524,6 +524,7 @@ def _links_of(
     settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None], broker_port: Callable[[], int]
 ) -> list[Link]:
     links = [link_of(link, settings.mqtt, broker_port) for link in settings.links]
+    # A file that was read to its end is not opened again.
     return [
         link
         if isinstance(link, ReplayLink | MarkerFileLink)

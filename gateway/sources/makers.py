@@ -299,7 +299,9 @@ class StreamCounter:
         here = told, stamp_ms
         if self._newest is None or _goes_on(self._newest, here, _OVERTAKEN, _MISSED):
             self._newest = here if self._newest is None else max(here, self._newest)
+        # Two strange numbers that go on from each other are believed: the device counts from anew.
         elif self._strange is not None and _goes_on(self._strange, here, 0, _OVERTAKEN):
+            # Too far away to be late or lost packets: numbers are shifted to go on where they were.
             if not -_OVERTAKEN <= told - self._newest[0] <= _MISSED:
                 self._shift += self._newest[0] + 1 - told
             self._newest = here
@@ -338,6 +340,7 @@ class StampCounter:
             self._intervals.clear()
         step = 1
         if len(self._intervals) >= _FEWEST_INTERVALS:
+            # A low quantile of the intervals, as losses only make them longer.
             usual = sorted(self._intervals)[len(self._intervals) // 4]
             step = max(1, round(interval / usual))
         if interval > 0 and self.newest >= 0:

@@ -187,6 +187,7 @@ class MtiCommands:
 
         async def change() -> dict[str, Any]:
             stood = read_output_configuration(await _answered(line, Mid.OUTPUT_CONFIGURATION))
+            # The whole list is sent each time: what is left out of it, the device stops sending.
             wanted = {name: rate for name, rate in {**stood, **settings}.items() if rate and name in ITEMS}
             data = encode_output_configuration(wanted)
             after = read_output_configuration(await _answered(line, Mid.OUTPUT_CONFIGURATION, data))

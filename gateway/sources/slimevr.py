@@ -116,6 +116,7 @@ def _normal(key: str) -> str:
             raise ValueError(f"'{key}' is no tracker: {wanted}; /1 behind it for a second sensor") from None
     if not (sensor or "0").isdecimal() or int(sensor or 0) > 254:
         raise ValueError(f"'{key}': '{sensor}' is no number of a sensor: 0, 1 …")
+    # The first sensor may be left out, or written as /0.
     return f"{mac}/{int(sensor or 0)}"
 
 

@@ -109,6 +109,7 @@ class SequenceCounter(Row):
         self.gaps[_order(gap.length)] += 1
         self._open.append(gap)
         self._known += gap.known
+        # What a gap lost stays counted; only whether a number of it still comes is no longer looked at.
         while self._known > _REMEMBERED:
             oldest = self._open[0]
             forgotten = min(oldest.known, self._known - _REMEMBERED)
@@ -123,6 +124,7 @@ class SequenceCounter(Row):
         if gap is None or not gap.known_from <= full <= gap.last:
             self.duplicates += 1
             return None
+        # The number came after all: its gap becomes the two parts before and after it.
         self.gaps[_order(gap.length)] -= 1
         before = _Gap(gap.first, full - 1, gap.cause, gap.known_from)
         after = _Gap(full + 1, gap.last, gap.cause, full + 1)

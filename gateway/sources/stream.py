@@ -216,6 +216,7 @@ class Stream:
             self.triggers.heard(received.module, chunk.link)
             if isinstance(packet, InertialSample | InertialSampleFine) and packet.triggered:
                 return self._read_triggered(self.triggers, record, received, chunk)
+            # A sample without a trigger is still of use, but its instant is an estimate.
             if isinstance(packet, InertialSample | InertialSampleFine | FusedSample):
                 self.triggers.sampled_alone(received.module)
         sequence = record.counter(received.kind).count(received.sequence, self.table.losses(chunk.link))

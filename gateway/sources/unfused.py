@@ -75,6 +75,8 @@ class UnfusedSensor:
         Of packets that hold samples or else, as many were samples as the time allows.
         """
         anew = max(missed - self._missed, 0)
+        # Some of the missing packets may have held no samples: no more are taken for samples than fit the
+        # time.
         step = 1 + min(anew, self.line.intervals_since(arrived_ns) - 1)
         self._missed = missed
         self._number += step
@@ -88,6 +90,7 @@ class UnfusedSensor:
         q, before = _unit(q_es), self._newest
         since_s = arrival.intervals * self.line.interval_ns * 1e-9
         turn = (0.0, 0.0, 0.0) if before is None else _turn(before.orientation, q)
+        # A leap between two orientations is the device's filter correcting itself, and no motion.
         is_leap = since_s > 0.0 and math.hypot(*turn) > _MOST_TURN * since_s
         follows = before is not None and not is_leap and arrival.intervals <= _LONGEST_GAP
         newest = _Pose(arrival.number, time_ns, since_s if follows else 0.0, q, turn)
@@ -123,6 +126,7 @@ def _turn(q_ea: Quaternion, q_eb: Quaternion) -> Vector3:
     y = w1 * y2 + x1 * z2 - y1 * w2 - z1 * x2
     z = w1 * z2 - x1 * y2 + y1 * x2 - z1 * w2
     norm = math.sqrt(x * x + y * y + z * z)
+    # q and -q are the same turn: the sign makes it the shorter one. At no turn the limit is 2.
     factor = 2.0 if norm < 1e-12 else math.copysign(2.0 * math.atan2(norm, abs(w)) / norm, w)
     return factor * x, factor * y, factor * z
 

@@ -98,6 +98,7 @@ def _unstuff(data: bytes, place: int, end: int, raw: Bytes, at: int) -> int:
             at += 1
         if stop == end:
             return at
+        # A block of full length has no zero behind it.
         if length != _FULL_BLOCK:
             raw[at] = 0
             at += 1
@@ -249,8 +250,11 @@ def _read_sample(raw: Bytes, entry: Row, sample: Row) -> None:
         begin = SENSOR_AT[place, mask, sensor]
         for axis in range(3):
             if begin < 0:
+                # A sensor that is absent from the sample.
                 sample.measured[sensor, axis] = np.nan
             else:
+                # Subtracting the sign bit after flipping it extends it: an unsigned number becomes a signed
+                # one.
                 element = (unsigned(raw, entry.start + begin + axis * size, size) ^ sign) - sign
                 sample.measured[sensor, axis] = element * SCALE[place, sensor]
     sample.clipped = CLIPPED[place, mask]

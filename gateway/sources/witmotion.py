@@ -114,6 +114,7 @@ class WitMotionDevice(MakersDevice):
         if isinstance(message, Inertial):
             return self._inertial(message, modules, chunk)
         if isinstance(message, Magnetic) and self._newest is not None:
+            # A reading of the magnetometer is dated with the newest inertial sample.
             number, stamp_us = self._newest
             record, time_ns = modules.timed(self.module, stamp_us, chunk)
             counter = record.counter(InertialSample.KIND | MAGNETIC)

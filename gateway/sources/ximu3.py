@@ -86,6 +86,8 @@ class Ximu3Device(MakersDevice):
         record, time_ns = modules.timed(self.module, message.time_us % 2**32, chunk)
         losses = modules.losses(chunk.link)
         if isinstance(message, Magnetic):
+            # The magnetometer has a rate, and so numbers, of its own; a reading goes with the newest inertial
+            # sample.
             number = self._magnetic.number(message.time_us)
             record.counter(InertialSample.KIND | MAGNETIC).count_unwrapped(number, losses)
             field = scaled(message.field, self.settings.field_ut)

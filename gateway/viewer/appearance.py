@@ -98,6 +98,7 @@ def status_summary(statuses: Mapping[str, str], silent: Sequence[str], language:
 def legend(language: str = ENGLISH) -> str:
     """Return what the colours mean, as HTML."""
     meanings = [(say(language, f"is_{name}"), colour) for name, colour in COLOURS.items()]
+    # Measured segments have a colour by side, and fade with their uncertainty.
     meanings[:1] = [
         (say(language, "side_left"), SIDE_COLOURS["left"]),
         (say(language, "side_right"), SIDE_COLOURS["right"]),

@@ -163,6 +163,7 @@ class Assistant(StepTab):
         if answer["module"] is None:
             return self._say("none_moved")
         device = str(answer["unique_id"])
+        # A device that was switched on after the last look is not in the list yet.
         if device not in devices_of(self._needed(), self._language).values():
             await self._look()
         self._show_listed(device, self._chosen_segment())

@@ -54,6 +54,7 @@ class Refused(Exception):
             (
                 f"HTTP/1.1 {status}",
                 "Content-Type: text/plain; charset=utf-8",
+                # One more for the line feed behind the text.
                 f"Content-Length: {len(text.encode()) + 1}",
                 "Connection: close",
                 *_NOT_FRAMED,

@@ -172,6 +172,7 @@ class LiveViewer:
     async def _draw_for_ever(self, poses: PoseSubscriber) -> None:
         picture = 0
         async for _ in pictures():
+            # Texts are renewed less often than the body, as each change of them goes to every page.
             if picture % TEXTS_EVERY == 0:
                 self._take_choices()
                 self._take_gateway(poses)
@@ -289,6 +290,7 @@ class LiveViewer:
         self._losses.add(health)
         self._show_headline(poses)
         age = self._view.age_s(gateway_time_ns())
+        # Warnings are about the pose that is shown, and an old one is marked as such already.
         comes = age is not None and age <= STALE_AFTER_S and poses.is_connected
         self._panel.show_warnings(self._warnings() if comes else ())
         if health is not None:

@@ -74,6 +74,7 @@ class MuscleWires:
             self._is_placed = posture.is_placed
             self._legend.content = _legend(self._language, self._is_placed)
         self.add(time_s, posture.q_wb, place)
+        # Time may jump backwards, when a recording is shown from its beginning again.
         if not 0.0 <= self._due_s - time_s < EVERY_S:
             self._due_s = time_s + EVERY_S
             found = self._muscles.now()

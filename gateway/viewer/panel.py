@@ -100,6 +100,7 @@ class Panel:
         group = gui.add_button_group(self.say(f"{row.name}_row"), texts)
 
         def clicked(event: viser.GuiEvent[Any]) -> None:
+            # A press may cross a change of language, and then names a text that is no longer there.
             if event.target.value in group.options:
                 pressed(row.options[group.options.index(event.target.value)], event.client)
 

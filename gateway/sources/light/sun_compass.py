@@ -155,6 +155,7 @@ class SunCompass:
         module.counts[module.state] += 1
         if reason is not None:
             return
+        # The brightest light seen is forgotten over time, as the day may become overcast.
         faded = module.brightest * math.exp(-max(since_s, 0.0) / BRIGHTEST_MEMORY_S)
         module.brightest = max(faded, solution.direct)
         module.direction, module.sighted_ns = solution.direction, reading.time_ns
