@@ -66,6 +66,7 @@ def _lock_holders(device: str) -> Iterator[int]:
     number = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
     for line in locks:
         fields = line.split()
+        # The line of a process that waits has "->" in it, and does not match; pids 0 and -1 name no process.
         if len(fields) > 5 and fields[5] == number and fields[4].isdigit() and fields[4] != "0":
             yield int(fields[4])
 

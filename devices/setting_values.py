@@ -47,6 +47,7 @@ def _limits(declared: WireField) -> str:
     else:
         low, high = INTEGER_RANGE.get(declared.code, (None, None))
         step = declared.scale or 1
+        # What is not declared is limited by the number on the wire.
         least = declared.minimum if declared.minimum is not None else (low or 0) * step
         most = declared.maximum if declared.maximum is not None else (high or 0) * step
         allowed = f"a number from {least:g} to {most:g}"

@@ -91,6 +91,7 @@ class SignedLink:
 
     async def __aiter__(self) -> AsyncIterator[Chunk]:
         async for chunk in self.link:
+            # A datagram is complete; a stream's chunk may end within a frame.
             read = self._frames.open if chunk.sender else self._frames.feed
             dropped = self._frames.dropped.total()
             data = read(chunk.data)

@@ -125,6 +125,7 @@ class SlcanDecoder:
         if not line:
             return None
         frame = _decode(line)
+        # An adapter also answers commands, and those lines are no frames.
         if frame is None and line[0] not in _REPLIES:
             self.malformed += 1
         return frame

@@ -56,6 +56,7 @@ class SlcanLink:
         except TimeoutError as error:
             await self._stream.close()
             raise LinkError(f"{self.name} takes no commands: is it an slcan adapter, and alive?") from error
+        # Cancelled, too: the port must not stay open without anybody to close it.
         except BaseException:
             await self._stream.close()
             raise

@@ -81,6 +81,7 @@ class SocketCanLink:
             self._socket = open_can_socket(self.channel, self._fd)
         except OSError as error:
             raise self._open_error(error) from error
+        # An interface that is bus-off can be bound all the same, and nothing ever comes from it.
         if not has_carrier(self.channel):
             self._socket.close()
             self._socket = None

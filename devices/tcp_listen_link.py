@@ -126,6 +126,7 @@ class _Caller(asyncio.Protocol):
         self.transport = transport
         self.host = str(transport.get_extra_info("peername")[0])
         connected = transport.get_extra_info("socket")
+        # Commands are small and must not wait for more to be sent with them.
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
         keep_alive(connected)

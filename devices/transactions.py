@@ -94,6 +94,7 @@ class Exchange:
                 return True
         elif self.answers:
             return True
+        # After the last attempt its wait is kept, too.
         return self.attempts == len(self._waits_s) and now_s >= self._due_s
 
     def take(self, answer: Answer) -> bool:
@@ -103,6 +104,7 @@ class Exchange:
             return False
         if wanted == ANYONE and self.target not in (BROADCAST, answer.module):
             return False
+        # A repeated question is answered again by a device that has heard both.
         if answer.unique_id in self.answers:
             self.duplicates += 1
             return False

@@ -44,6 +44,7 @@ def split_batch(body: bytes) -> tuple[list[Entry], bool]:
     while stop + size <= end:
         kind, module, sequence, module_time_us, length = _ENTRY.unpack_from(body, stop)
         start = stop + size
+        # Where the body ends is known, where the next entry begins is not.
         if start + length > end:
             return entries, True
         stop = start + length

@@ -169,11 +169,13 @@ class SignedFrames:
     def _note(self, signer: int, count: int) -> Defect | None:
         newest, seen = self._newest.get(signer, (self._floor, 0))
         ahead = count - newest
+        # Bit k of seen is the count k before the newest, as in IPsec's window.
         if ahead > 0:
             seen = (seen << ahead | 1) & _WINDOW_MASK if ahead < WINDOW else 1
             self._newest[signer] = count, seen
             self.count = max(self.count, count)
             return None
+        # Whether it was taken before cannot be said any more.
         if count <= self._floor or ahead <= -WINDOW:
             self.owes_count = True
             return Defect.OUTDATED

@@ -153,6 +153,7 @@ def _factory_lines(setting: Setting) -> Iterator[str]:
     declared, target = setting.value, f"settings->{setting.name}"
     raw = encode_value(setting.key, setting.factory)
     elements: Iterable[Any] = (
+        # Bytes stand for themselves; other values are written as numbers.
         raw if declared.code == "s" else struct.unpack(BYTE_ORDER + declared.struct_format, raw)
     )
     for place, element in enumerate(elements):

@@ -24,6 +24,7 @@ def _to_and_from(record: Record, declared: WireField, saturates: bool) -> str:
     c_type, name = C_TYPES[declared.code], c_name(record.name, declared.name)
     low, high = raw_limits(declared)
     if saturates:
+        # Symmetric, as a clipped reading is sent with the largest number of either sign.
         low = -high
     sign = "signed" if INTEGER_RANGE[declared.code][0] < 0 else "unsigned"
     limits = f"{literal(low, declared.code)}, {literal(high, declared.code)}"

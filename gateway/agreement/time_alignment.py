@@ -84,10 +84,13 @@ def _angular_speeds(tracks: Tracks) -> tuple[float, FloatArray]:
     speed = np.full(q.shape[:2], np.nan)
     for s in range(q.shape[1]):
         known = np.isfinite(q[:, s]).all(axis=1).reshape(-1)
+        # A speed wants both neighbours.
         both = np.flatnonzero(known[:-1] & known[1:])
         if len(both):
             rotation = Rotation.from_quat(
-                np.where(known[:, None], q[:, s], [1.0, 0, 0, 0]), scalar_first=True
+                # SciPy refuses rows without a norm, so they stand as no turn and are not read.
+                np.where(known[:, None], q[:, s], [1.0, 0, 0, 0]),
+                scalar_first=True,
             )
             speed[both, s] = (rotation[both].inv() * rotation[both + 1]).magnitude() * RATE_HZ
     return float(time_s[0]) + 0.5 / RATE_HZ, _smoothed(speed)

@@ -72,6 +72,7 @@ def align_segments(q: FloatArray, q_reference: FloatArray, with_mounting: bool =
     n = q.shape[1]
     single = [align_world(q[:, [s]], q_reference[:, [s]], with_mounting) for s in range(n)]
     headings = np.array([each.heading_rad for each in single])
+    # The mean of directions, as 359° and 1° are 2° apart.
     common = float(np.angle(np.exp(1j * headings).mean()))
     own: FloatArray = np.angle(np.exp(1j * (headings - common)))
     return WorldAlignment(common, np.concatenate([each.mounting for each in single]), own)
@@ -115,6 +116,7 @@ def _best_heading_and_mountings(scatters: list[FloatArray]) -> tuple[float, list
     if not scatters:
         return 0.0, []
     moments = np.stack([_by_heading(scatter) for scatter in scatters])
+    # The whole circle first, then ever closer around the best.
     best, reach = 0.0, math.pi
     for zoom in range(ZOOMS + 1):
         tried = best + reach * np.linspace(-1.0, 1.0, HEADINGS if zoom == 0 else 2 * int(NARROWER) + 1)
@@ -149,6 +151,7 @@ def place_aligned(p: FloatArray, p_reference: FloatArray) -> FloatArray:
     a, b = p[known], p_reference[known]
     mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
     x, y = (a - mean_a)[:, :2], (b - mean_b)[:, :2]
+    # The turn that brings one set of points nearest to another has this closed form in the plane.
     angle = np.arctan2(
         np.sum(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]), np.sum(x[:, 0] * y[:, 0] + x[:, 1] * y[:, 1])
     )

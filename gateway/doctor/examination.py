@@ -35,6 +35,7 @@ _MB = 1e6
 def disk(settings: RecordingSettings, surroundings: Surroundings) -> Finding:
     """Return whether there is room where recordings go."""
     folder = Path(settings.folder).absolute()
+    # The folder may be made later: what counts is the deepest one that is there.
     present = next(each for each in (folder, *folder.parents) if each.exists())
     if not present.is_dir() or not os.access(present, os.W_OK | os.X_OK):
         found = f"{present} cannot be written by this user"

@@ -51,10 +51,12 @@ async def examined(service: Service, here: Surroundings | None = None) -> dict[s
 
 def ports_of(links: list[LinkSettings], here: Surroundings) -> list[dict[str, str | None]]:
     """Serial ports and CAN interfaces that are there, and the name of the link that uses each."""
+    # Names under /dev/serial/by-id are links: both are compared as what they lead to.
     users = {str(Path(device).resolve()): link.name for link in links if (device := device_of(link.url))}
     found: list[dict[str, str | None]] = [
         {"name": port, "link": users.get(str(Path(port).resolve()))} for port in serial_ports()
     ]
+    # The kernel tells CAN from Ethernet by the interface's type.
     for kind in sorted((here.sysfs / "class" / "net").glob("*/type")):
         if kind.read_text().strip() == _CAN:
             name = kind.parent.name

@@ -37,5 +37,6 @@ def air_velocity(
     pressure = np.asarray(differential_pressure, np.float64)
     speed = np.sqrt(2.0 * np.abs(pressure) / density)
     at_rest = math.sqrt(2.0 * PRESSURE_SIGMA / density)
+    # dv = dp / (density v), up to the speed that the pressure's own noise would show at rest.
     sigma = PRESSURE_SIGMA / (density * np.maximum(speed, PRESSURE_SIGMA / (density * at_rest)))
     return np.copysign(speed, pressure), sigma

@@ -176,6 +176,7 @@ class ArrivalCounter:
         """Return the interval between both halves; None where they are seen to have come in bursts."""
         pairs = zip(self._first[:_HALF], self._first[_HALF:], strict=True)
         spans = sorted((late - early) / max(b - a, 1) for (early, a), (late, b) in pairs)
+        # Quartiles, as single packets may be late.
         lower_ns, upper_ns = spans[_HALF // 4], spans[3 * _HALF // 4]
         if lower_ns < max(_SHORTEST_NS, _KNOWN[0] * 1e9 / max(self._rates_hz, default=math.inf)):
             return None

@@ -111,6 +111,7 @@ def _reassemble(frame: Row, is_fd: bool, raw: Bytes, at: int) -> int:
     raw[at + KIND_AT], raw[at + MODULE_AT] = frame.stream >> 8, frame.stream & 0xFF
     to = at + SEQUENCE_AT
     for k in range(size):
+        # The length is of CAN alone: a byte stream's frame says it by its end.
         if k != LENGTH_OFFSET:
             raw[to] = frame.data[k]
             to += 1

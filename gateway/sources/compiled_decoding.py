@@ -62,6 +62,7 @@ class Entries:
         """Make room for whatever so many bytes can hold."""
         self.n_bytes = n_bytes
         self.raw = np.zeros(n_bytes + CARRIED, np.uint8)
+        # No more entries fit than the smallest ones would.
         most = len(self.raw) // ENTRY_SIZE + 1
         self.rows = np.zeros(most, ENTRY)
         self.left = np.zeros(most, np.int64)

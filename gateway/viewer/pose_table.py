@@ -54,6 +54,7 @@ def attitude(q_wb: Quaternion) -> Attitude:
     right_up = 1 - 2 * (x * x + y * y)
     return Attitude(
         heading_deg=math.degrees(math.atan2(anterior[0], anterior[1])) % 360.0,
+        # Rounded numbers may lie just outside of what asin takes.
         pitch_deg=math.degrees(math.asin(max(-1.0, min(1.0, anterior[2])))),
         roll_deg=math.degrees(math.atan2(-right_up, superior_up)),
     )

@@ -59,6 +59,7 @@ class LastingStatus:
 
     def _of(self, s: int, t_ns: int, status: str) -> str:
         shown, since_ns = self._shown[s], self._since_ns[s]
+        # An instant before the last one is of a recording that begins again.
         is_first = shown is None or (since_ns is not None and t_ns < since_ns)
         if status == "measured" or is_first:
             self._since_ns[s] = None if status == "measured" else t_ns

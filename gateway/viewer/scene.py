@@ -144,6 +144,7 @@ class BodyScene:
         heights = dict(zip(shown, apart([places[s][2] for s in shown], LABEL_M), strict=True))
         for s, label in enumerate(self._labels):
             is_visible = s in places
+            # Each assignment is a message to every page, so what stays as it is is not assigned.
             if label.visible != is_visible:
                 label.visible = is_visible
             if is_visible:
@@ -267,6 +268,7 @@ class Figure:
         ahead = [quaternion.rotate(posture.q_wb[s], np.array([0.06, 0.0, 0.0])) for s in soles]
         below = p_w[soles] + ahead
         standing = np.clip(1.0 - np.maximum(below[:, 2] - 0.1, 0.0) / _SHADE_GONE_M, 0.0, 1.0)
+        # Just above the floor, or both would flicker through each other.
         below[:, 2] = 0.004
         self._shades.batched_positions = below.astype(np.float32)
         sizes = (0.3 + 0.7 * standing) * DISC_M

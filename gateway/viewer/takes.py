@@ -117,6 +117,7 @@ class TakesTab(StepTab):
         with tempfile.TemporaryDirectory(prefix="mocap-page-") as folder:
             for name in take["files"]:
                 (Path(folder) / name).write_bytes(await self._read(name))
+            # In a thread, as the page goes on meanwhile.
             arrays = await asyncio.to_thread(_arrays_of, Path(folder) / take["file"])
         self._replay(arrays, take["file"])
         self._is_replaying = True
@@ -205,6 +206,7 @@ def _card(take: Mapping[str, Any], language: str) -> str:
 def thumbnail(outline: Sequence[Sequence[float]], name: str) -> str:
     """Return the body half-way through a recording as a small SVG; an empty frame where it is unknown."""
     points = [(x, y) for x0, y0, x1, y1 in outline for x, y in ((x0, y0), (x1, y1))]
+    # SVG's y points down.
     top = max((y for _, y in points), default=1.0) + 0.1
     height = max(top - min((y for _, y in points), default=0.0) + 0.1, 0.5)
     lines = "".join(

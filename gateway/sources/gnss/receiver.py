@@ -101,6 +101,7 @@ class GnssReceiver:
         if fix.place is not None and fix.place_sigma is not None:
             self._quality, self._fixes = fix.quality, self._fixes + 1
             self._sigma_m = max(fix.place_sigma[:2])
+            # The first place of a session is the origin.
             self._plane = self._plane or LocalPlane(*fix.place)
             place = self._plane.enu(*fix.place)
             readings.append(self._reading(time_ns, Quantity.POSITION, place, fix.place_sigma))
@@ -119,6 +120,8 @@ class GnssReceiver:
             return arrived_ns - self._params.latency_ns
         utc_ns = round(fix.utc.timestamp() * 1e6) * 1000
         delay_ns = arrived_ns - utc_ns
+        # The least delay of a window in constant time each: only delays that may become the least are kept,
+        # in rising order.
         while self._delays and self._delays[-1][1] >= delay_ns:
             self._delays.pop()
         self._delays.append((arrived_ns, delay_ns))

@@ -70,6 +70,7 @@ class GnssDecoder:
         for message in self._messages():
             try:
                 fix = self._ubx(message) if message.startswith(_UBX_HEAD) else self._nmea(message)
+            # The library raises many kinds of errors for damaged messages.
             except Exception as error:
                 is_sum = "checksum" in str(error)
                 self.dropped[GnssDefect.CHECKSUM if is_sum else GnssDefect.MALFORMED] += 1
@@ -164,8 +165,10 @@ class GnssDecoder:
             utc,
             {1: 5, 2: 4}.get(said.carrSoln, 2 if said.diffSoln else 1),
             _checked((said.lat, said.lon, said.height * 1e-3)),
+            # In mm: the horizontal one is of both axes together, so each has 1/√2 of it.
             (said.hAcc * 7.07e-4, said.hAcc * 7.07e-4, said.vAcc * 1e-3),
             (said.velE * 1e-3, said.velN * 1e-3, said.velD * -1e-3),
+            # In mm/s, of three axes together: each has 1/√3 of it.
             (said.sAcc * 5.8e-4,) * 3,
         )
 
