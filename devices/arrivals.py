@@ -25,7 +25,7 @@ class Arrivals:
     The reader is woken at once after a pause and by a chunk that is not small, else ``HAND_OVER_S`` after it
     was woken last.
     When the reader is more than ``limit_bytes`` behind, the oldest chunks are dropped and counted.
-    Chunks that arrived before the end are handed out before the end is told.
+    Chunks that arrived before the end are handed out before the end is reported.
     """
 
     def __init__(self, link: str, limit_bytes: int = LIMIT_BYTES, counts: LinkCounts | None = None) -> None:

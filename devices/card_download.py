@@ -92,7 +92,7 @@ async def download(
 ) -> None:
     """Fetch one file; goes on from a partial one. What was fetched when it is cancelled or fails stays.
 
-    read: ``Card.read``, or the same through a running gateway. on_progress: told the bytes had so far.
+    read: ``Card.read``, or the same through a running gateway. on_progress: called with the bytes had so far.
     Raises ``CardError`` when the content does not have the checksum that the card says it has, or
     the file ends early; OSError as ``open`` does.
     """

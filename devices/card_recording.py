@@ -1,7 +1,7 @@
 """A file of a relay's memory card as a recording, so that it can be replayed like any other.
 
 The card holds the wire frames that the relay gathered, stuffed, one after another, in the order in
-which they came. When each came is told by the clock of its sender: the first of every sender came when
+which they came. When each came is read from the clock of its sender: the first of every sender came when
 those before it in the file did.
 """
 

@@ -75,7 +75,7 @@ class CommandClient:
         self.healths: dict[int, Health] = {}
         """Newest health by module id."""
         self.on_sent: Callable[[SentChunk], None] | None = None
-        """Told of everything that was written to a link."""
+        """Called with everything that was written to a link."""
         self._clock_ns = clock_ns
         self._decoders: dict[str, LinkDecoder] = {}  # of links that are read here
         self._sequences: Counter[int] = Counter()

@@ -1,4 +1,4 @@
-"""How fast the line behind an endpoint is, as far as its name tells."""
+"""How fast the line behind an endpoint is, as far as its name says."""
 
 from __future__ import annotations
 

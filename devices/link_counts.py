@@ -134,7 +134,7 @@ def _has_more(bound: socket.socket) -> bool:
 
 
 def ask_for_drops(bound: socket.socket) -> None:
-    """Have the system tell with what it gives how much it had to drop on this socket."""
+    """Have the system say with each datagram how many it had to drop on this socket."""
     bound.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
 
 

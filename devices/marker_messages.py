@@ -41,7 +41,7 @@ class MarkerMessage:
     """Those that were seen."""
     unlabelled: tuple[tuple[float, float, float], ...]
     up: str | None = None
-    """The axis of the optical system that points up, x, y or z; None: the message does not tell."""
+    """The axis of the optical system that points up, x, y or z; None: the message does not say."""
 
 
 def encode_markers(

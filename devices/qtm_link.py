@@ -157,7 +157,7 @@ def _restarted(arrivals: Arrivals, event: Enum) -> None:
 class _Numbers:
     """Sequence numbers out of those of QTM's frames, which begin anew with a measurement or a file.
 
-    Some versions have number 1 on every frame of a live stream; then nothing tells what was left out.
+    Some versions have number 1 on every frame of a live stream; then nothing shows what was left out.
     """
 
     def __init__(self, counts: LinkCounts) -> None:

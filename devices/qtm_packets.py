@@ -46,7 +46,7 @@ class Marking:
     labels: tuple[str, ...]
     """In the order in which the packets have them."""
     up: str | None
-    """Axis that points up, x, y or z; None: QTM has one that points down, or does not tell."""
+    """Axis that points up, x, y or z; None: QTM has one that points down, or does not say."""
 
 
 def marking_of(xml: bytes) -> Marking:

@@ -36,7 +36,7 @@ class ReaderThread:
         await asyncio.to_thread(self._thread.join)
 
     def _run(self) -> None:
-        # The loop may be closed before the link was: then there is nobody left to tell.
+        # The loop may be closed before the link was: then nobody is left to be woken.
         with contextlib.suppress(RuntimeError):
             while not self._stopping.is_set():
                 try:

@@ -182,7 +182,7 @@ def framings_of(link: Link) -> dict[str, Framing]:
 
 
 def event_of(message: bytes) -> InputEvent | None:
-    """Return the event that a message on ``recording_format.EVENTS`` tells of; None for a damaged one."""
+    """Return the event that a message on ``recording_format.EVENTS`` holds; None for a damaged one."""
     try:
         plain = plain_json(message)
         return InputEvent(str(plain["name"]), dict(plain["data"]), int(plain["time_ns"]))

@@ -23,7 +23,7 @@ class Device:
     """Version of the protocol that both sides speak; None: none in common."""
     info: DeviceInfo | None
     health: Health | None
-    """None also where two devices share the module id: there is no telling whose it is."""
+    """None also where two devices share the module id: it may be either's."""
 
     @property
     def is_relay(self) -> bool:

@@ -64,7 +64,7 @@ _REPLIES = frozenset(b"zZVvNF")  # transmission done, version, serial number, st
 
 
 def open_commands(bitrate: int, data_bitrate: int | None = None) -> list[bytes]:
-    """Return what an adapter is told, in order, to join the bus at ``bitrate`` [bit/s].
+    """Return the commands to an adapter, in order, to join the bus at ``bitrate`` [bit/s].
 
     ``data_bitrate`` [bit/s] makes it an FD bus. Raises ValueError for a rate that slcan cannot name.
     """

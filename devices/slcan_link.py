@@ -74,7 +74,7 @@ class SlcanLink:
     async def close(self) -> None:
         """Close the adapter's channel, if it is still there, and the port."""
         try:
-            # An adapter that is gone, or never was there, need not be told.
+            # An adapter that is gone, or never was there, takes no command.
             with contextlib.suppress(LinkError, TimeoutError):
                 async with asyncio.timeout(_COMMAND_TIMEOUT_S):
                     await self._stream.write(CLOSE_COMMAND)

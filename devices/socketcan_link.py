@@ -222,7 +222,7 @@ def has_carrier(channel: str) -> bool:
     """Return whether the interface takes part in its bus: a controller in bus-off does not."""
     try:
         return Path(f"/sys/class/net/{channel}/carrier").read_text().strip() != "0"
-    except OSError:  # down, or no such interface: reading and writing will tell
+    except OSError:  # down, or no such interface: reading and writing will fail and say so
         return True
 
 

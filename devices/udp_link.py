@@ -150,7 +150,7 @@ def _address_of(name: str) -> Address:
 
 
 def _bound(family: int, kind: int, protocol: int, _name: str, address: tuple[Any, ...]) -> socket.socket:
-    """Return a socket bound there, which tells what the kernel had to drop. Raises ``OSError``."""
+    """Return a socket bound there, which reports what the kernel had to drop. Raises ``OSError``."""
     made = socket.socket(family, kind, protocol)
     try:
         made.setblocking(False)

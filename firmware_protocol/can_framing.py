@@ -74,7 +74,7 @@ IDENTIFIER_SHIFT = {name: sum(_WIDTHS[place + 1 :]) for place, (name, _) in enum
 _MASK = {name: ((1 << bits) - 1) << IDENTIFIER_SHIFT[name] for name, bits in IDENTIFIER_BITS}
 LAST, INDEX_MASK = _MASK["last"], _MASK["index"]
 STREAM_SHIFT, STREAM_MASK = IDENTIFIER_SHIFT["module"], _MASK["kind"] | _MASK["module"]
-"""Of kind and module together, which tell wire frames apart that come in turns."""
+"""Of kind and module together, which distinguish wire frames that come in turns."""
 
 # Ours is what has a long identifier, is neither remote nor an error, and is of our version.
 OWN_MASK = EXTENDED | REMOTE | ERROR | _MASK["version"]

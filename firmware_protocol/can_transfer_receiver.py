@@ -35,7 +35,7 @@ class _Reception:
     has_asked: bool = False
     """Whether a gap before the piece wanted has been reported."""
     is_waiting: bool = False
-    """Whether the sender was told to wait."""
+    """Whether the sender was asked to wait."""
     is_done: bool = False
 
 
@@ -47,7 +47,7 @@ class TransferReceiver:
     """Which way its flow control goes: by default to modules, so this is the host's end."""
     params: TransferParams = field(default_factory=TransferParams)
     is_busy: bool = False
-    """While true, senders are told to wait."""
+    """While true, senders are asked to wait."""
     dropped: Counter[Defect] = field(default_factory=Counter)
     """Transfers given up, by reason."""
     accepted: int = 0
@@ -139,7 +139,7 @@ class TransferReceiver:
         return WireFrame(*entry)
 
     def _flow(self, module: int, reception: _Reception, now_ns: int) -> None:
-        """Tell a sender at the end of a block how to go on."""
+        """Answer a sender at the end of a block how to go on."""
         wanted = len(reception.data)
         if reception.is_done:
             self._answer(module, reception.first.transfer, FlowControl(wanted, FlowStatus.DONE))

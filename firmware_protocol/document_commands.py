@@ -68,7 +68,7 @@ def _setting_row(setting: Setting) -> tuple[object, ...]:
 
 
 def _limits(declared: WireField) -> tuple[str, str]:
-    """Return the least and the largest value, where they are not told by a list of meanings or by the
+    """Return the least and the largest value, where they are not given by a list of meanings or by the
     type."""
     if declared.maximum is None:
         return "", ""

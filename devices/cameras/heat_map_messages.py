@@ -10,7 +10,7 @@
     12      int64     time, ns: of the picture, by the sender's clock
     20      uint32    length of all that follows
     24      char[n]   camera, UTF-8
-    24+n    char[m]   network, UTF-8: it tells the names of the maps
+    24+n    char[m]   network, UTF-8: it decides the names of the maps
     …       float64×6 the affine: pixel (x, y, 1) of the picture to (column, row) of the maps, by rows
     …       uint16×3  maps, rows, columns
     …       bytes     the maps, one byte a cell, likelihood × 255, compressed by zstd

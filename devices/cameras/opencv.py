@@ -1,4 +1,4 @@
-"""OpenCV, imported when first used: commands that need it tell about themselves where it is not installed."""
+"""OpenCV, imported when first used: commands that need it are still listed where it is not installed."""
 
 from __future__ import annotations
 

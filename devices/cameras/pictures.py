@@ -75,7 +75,7 @@ def open_pictures(place: str, rate_hz: float | None = None) -> PictureSource:
 
 
 class VideoFile:
-    """A video file. One that ends early or cannot be decoded is told by ``CameraError``."""
+    """A video file. Raises ``CameraError`` for one that ends early or cannot be decoded."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

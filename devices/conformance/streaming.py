@@ -45,7 +45,7 @@ def _some(bench: Bench) -> list[Heard]:
 
 
 async def setting(bench: Bench, key: int) -> object:
-    """Return the value of a setting of the module. Raises ``SkippedError`` where it does not tell."""
+    """Return the value of a setting of the module. Raises ``SkippedError`` where it does not answer."""
     answer = await bench.ask(Verb.READ_SETTING, key)
     payload = None if answer is None else decode_payload(Verb.READ_SETTING, answer.payload)
     if payload is None or payload[0] != key:

@@ -1,4 +1,4 @@
-"""Rules of time requests: the module's clock, told with as little delay as it can and truly."""
+"""Rules of time requests: the module's clock, sent with as little delay as it can and truly."""
 
 from __future__ import annotations
 

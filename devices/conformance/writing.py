@@ -22,7 +22,7 @@ _QUIET_S = 0.4
 
 
 async def held(bench: Bench, name: str) -> bytes | None:
-    """Return the bytes of a setting; None where it is not told."""
+    """Return the bytes of a setting; None where it is not answered."""
     answer = await bench.ask(Verb.READ_SETTING, SETTING_KEYS[name])
     payload = None if answer is None else decode_payload(Verb.READ_SETTING, answer.payload)
     return None if payload is None else bytes(payload[1])

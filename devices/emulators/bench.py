@@ -1,4 +1,4 @@
-"""Modules on a table: nobody wears them yet, and whoever sets them up has to tell them apart."""
+"""Modules on a table: nobody wears them yet, and the user has to find out which is which."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class CommandedDevice(Protocol):
 
 
 class IdleDevice:
-    """A device from the factory that keeps settings, and does nothing else of what it is told."""
+    """A device from the factory that keeps settings, and carries out no other command."""
 
     is_locked = False
     card: EmulatedCard | None = None

@@ -29,7 +29,7 @@ class Transmission(NamedTuple):
     data: bytes
     """A stuffed wire frame, or the CAN records of one, as the framing says."""
     device: int | None = None
-    """Number of the device that it comes from; None: not told, or of none."""
+    """Number of the device that it comes from; None: not known, or of none."""
 
 
 class WireEncoding(Protocol):

@@ -121,7 +121,7 @@ class EmulatedDevice:
     def hear(self, at_s: float, received: ReceivedPacket) -> None:
         """Let a packet from the host reach the device at a true time, s.
 
-        When that time has passed already, it is obeyed late, but clocks are told, and samples triggered,
+        When that time has passed already, it is obeyed late, but clocks are reported, and samples triggered,
         as of then.
         """
         self.happen(at_s, lambda: self._take(received, at_s))

@@ -255,7 +255,7 @@ class EmulatedSuit:
 
     async def _insist(self, data: bytes) -> None:
         for piece in self._pieces(data):
-            # A terminal tells nobody when it has room.
+            # A terminal does not report when it has room.
             while not self.transport.offer(piece):  # noqa: ASYNC110
                 await asyncio.sleep(_RETRY_S)
             self.counts.sent_bytes += len(piece)

@@ -43,7 +43,7 @@ class FaultySuit:
         )
         self._deafening = FaultWindows(plan.windows(Stall, Unplug))
         """What the host says then does not arrive."""
-        # Asked for now: a module that is not there is a mistake in the plan, to be told at once.
+        # Asked for now: a module that is not there is a mistake in the plan, to be reported at once.
         for fault in plan.faults:
             if (module := getattr(fault, "module", None)) is not None:
                 traffic.device(module)

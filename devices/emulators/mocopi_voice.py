@@ -48,7 +48,7 @@ def mocopi_voices(modules: Sequence[int], field_ut: float) -> Mapping[int, Voice
 def _relative(
     oriented: Mapping[int, tuple[float, float, float, float]],
 ) -> tuple[tuple[int, tuple[float, float, float, float], tuple[float, float, float]], ...]:
-    """Return all bones relative to their parents; one that is not told goes with its parent."""
+    """Return all bones relative to their parents; one that is not given goes with its parent."""
     y_up = Rotation.from_quat((0.5, 0.5, 0.5, 0.5), scalar_first=True)
     turned = {-1: Rotation.identity()}
     bones = []

@@ -98,7 +98,7 @@ class QtmStandIn:
         self.trial = trial
         self.host = host
         self.port = port
-        """Asked for; 0 lets the system choose, and tells here once it is started."""
+        """Asked for; 0 lets the system choose; the port chosen stands here once it is started."""
         self.sent = 0
         """Frames, to all clients."""
 

@@ -49,7 +49,7 @@ class SampleEncoder:
         """Return one body a sample; what is beyond the range is sent as its end and marked as clipped.
 
         readings: sensor to (n, 3), SI and µT.
-        ranges: sensor to (n, 1), largest reading of an axis; default: as far as the wire can tell it.
+        ranges: sensor to (n, 1), largest reading of an axis; default: the largest that the wire can carry.
         is_triggered: (n,); default: none is.
         """
         n = len(readings[self._fields[0].name])

@@ -1,4 +1,4 @@
-"""When a device samples, by its own clock: evenly, until it is told otherwise."""
+"""When a device samples, by its own clock: evenly, until the host changes it."""
 
 from __future__ import annotations
 

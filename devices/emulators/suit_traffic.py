@@ -38,7 +38,7 @@ from firmware_protocol import RELAY, SamplingTrigger
 __all__ = ["SuitSettings", "SuitTraffic"]
 
 BUTTON, TAP, DOUBLE_TAP, SHAKE = 1, 2, 3, 4
-"""Events that a device tells of."""
+"""Events that a device reports."""
 
 # Much longer than the steps of a prompt suit, short enough to be evaluated between two of them.
 _LOOK_AHEAD_S = 0.1

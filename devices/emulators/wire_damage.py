@@ -141,7 +141,7 @@ class CanBus:
                 intact.append(frame.module_time_us)
                 continue
             traffic.n_damaged += 1
-            # Frames of one stream cannot be interleaved: a receiver could not tell their pieces apart.
+            # Frames of one stream cannot be interleaved: a receiver could not distinguish their pieces.
             if rng.random() < 0.2 and (earlier.kind, earlier.module) != (frame.kind, frame.module):
                 stream += _interleaved(rng, pieces, before)
                 intact += [frame.module_time_us, earlier.module_time_us]

@@ -47,7 +47,7 @@ class Ximu3Voice(Voice):
         self.from_port = receive_port
         serial = f"{0x65570000 + module:08X}"
         self.settings = {**_FACTORY, "serial_number": serial, "udp_receive_port": receive_port}
-        """By name, as the device tells and takes them."""
+        """By name, as the device sends and takes them."""
         self._staged: dict[str, Any] = {}
         self._field_due_us = 0
         self._rest = b""

@@ -128,7 +128,7 @@ def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], pa
     scale = _number(parameters, "POINT:SCALE", float(header_scale))
     first, last = int(words[3]), int(words[4])
     n_frames = last - first + 1
-    if last == 0xFFFF or n_frames <= 0:  # more frames than the header can tell
+    if last == 0xFFFF or n_frames <= 0:  # more frames than the header can count
         n_frames = int(_number(parameters, "POINT:FRAMES", n_frames))
         n_frames = int(_number(parameters, "POINT:LONG_FRAMES", _long_count(parameters) or n_frames))
     n_points = int(_number(parameters, "POINT:USED", float(words[1])))

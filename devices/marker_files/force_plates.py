@@ -158,7 +158,7 @@ def _at_surface(
         arm = np.array([0.0, 0.0, -down * abs(depth)])
     else:
         force, moment = signals[:, :3], signals[:, 3:6] * per_unit
-        # the surface lies over the sensors: some files tell it upside down
+        # the surface lies over the sensors: some files have it upside down
         arm = origin if down * origin[2] <= 0 else -origin
     return force, moment - np.cross(arm, force)
 

@@ -24,7 +24,7 @@ class MarkerTrial:
     positions: FloatArray
     """(F, M, 3) m; NaN where a marker was not seen."""
     parameters: Mapping[str, float] = field(default_factory=dict)
-    """Numbers that the file tells beside the points, names in capitals, in the file's own units."""
+    """Numbers that the file has beside the points, names in capitals, in the file's own units."""
     metres_per_unit: float = 1.0
     """Of the file's lengths."""
     begins_s: float = 0.0

@@ -1,7 +1,7 @@
 """BVH: a hierarchy of joints with rest offsets, then a line of channels a frame, as animation programs write.
 
-A file tells neither its unit nor where its joints are on a person. Joints are known by their names and by how
-they hang together; the person's own legs tell the unit. Axes of segments follow from the rest posture: the
+A file says neither its unit nor where its joints are on a person. Joints are known by their names and by how
+they hang together; the person's own legs give the unit. Axes of segments follow from the rest posture: the
 bone is the segment's length, and where the person looks at rest is forward, whatever arms and legs do there.
 """
 
@@ -72,7 +72,7 @@ def read_bvh(
     """Read a module for every segment of a person, by the segment's name, and the hips' path.
 
     leg_m: thigh and shank together of who shall move so, m: the file's unit follows from its own. given:
-    joint to segment, where names do not tell. partial: take the frames before the first damage. Raises
+    joint to segment, where names do not say it. partial: take the frames before the first damage. Raises
     ``FormatError``.
     """
     motion = _read(path, partial=partial)

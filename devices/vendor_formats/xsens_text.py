@@ -52,7 +52,7 @@ def read_xsens_text(
 ) -> Recording:
     """Read modules, numbered from 0 in the order of the files, on one time by their packet counters.
 
-    rate_hz: for files that do not tell theirs. partial: take the rows before a bad one. Raises
+    rate_hz: for files that do not have theirs. partial: take the rows before a bad one. Raises
     ``FormatError``.
     """
     files = [read_mt_file(path, partial=partial) for path in paths]
@@ -69,7 +69,7 @@ def read_xsens_text(
     modules: list[ModuleTrack] = []
     fused: list[FusedTrack] = []
     for module, (file, label, start) in enumerate(zip(files, labels, starts, strict=True)):
-        # Counters tell which rows are missing; their differences between modules tell when each began.
+        # Counters show which rows are missing; their differences between modules show when each began.
         index = file.counter - file.counter[0]
         times, rows = spread(index, (start + index) / rate, file.readings, file.path)
         add_tracks(module, label, times, rows, modules, fused)

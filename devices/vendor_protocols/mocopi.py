@@ -99,7 +99,7 @@ class MocopiDecoder:
             if length is None:  # nor is it known whether one does that another cuts off
                 break
             another = rest.find(_SIGN, _SIGN_AT + 1, length)
-            if another > _SIGN_AT:  # it was cut off, or tells a wrong length
+            if another > _SIGN_AT:  # it was cut off, or has a wrong length
                 self.dropped["cut_off"] += 1
                 rest = rest[another - _SIGN_AT :]
                 continue

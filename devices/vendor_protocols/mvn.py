@@ -239,7 +239,7 @@ class MvnDecoder:
                 rest = rest[1:]
                 continue
             another = rest.find(MAGIC, 1, length)
-            if another > 0:  # it was cut off, or tells a wrong length
+            if another > 0:  # it was cut off, or has a wrong length
                 self.dropped["cut_off"] += 1
                 rest = rest[another:]
                 continue
@@ -290,7 +290,7 @@ def _length(rest: bytes) -> int | None:
     layout = LAYOUTS.get(kind)
     if layout is not None:
         size = n_items * layout.form.size
-        return _HEAD.size + size if told in (0, size) else None  # older versions do not tell
+        return _HEAD.size + size if told in (0, size) else None  # older versions do not say it
     if not told and kind in (META, TIME_CODE) and len(rest) >= _HEAD.size + 4:
         told = 4 + int.from_bytes(rest[_HEAD.size : _HEAD.size + 4], "big")
     return _HEAD.size + told if kind.isalnum() and told <= LONGEST else None

@@ -22,7 +22,7 @@ from devices.vendor_protocols.rotations import Quaternion
 PORT = 6969
 """UDP port of the server, on which trackers look for it by broadcast."""
 VERSION = 22
-"""Of the protocol; trackers that tell an older one send acceleration in other axes than orientation."""
+"""Of the protocol; trackers that name an older one send acceleration in other axes than orientation."""
 BUNDLES, COMPACT_BUNDLES = 1, 2
 """Features of a server: bits of its flags."""
 MAGNETOMETER = 1
@@ -80,7 +80,7 @@ class Handshake:
     version: int
     firmware: str
     mac: str
-    """Twelve hexadecimal digits; empty where it tells none."""
+    """Twelve hexadecimal digits; empty where it names none."""
     imu: int = 0
     board: int = 0
     mcu: int = 0

@@ -21,7 +21,7 @@ _CHECKSUM_SIZE = framing.CHECKSUM_FIELD.size
 
 
 def constants_source() -> str:
-    """Return every constant, the enumerations, and the functions that tell what belongs to a kind."""
+    """Return every constant, the enumerations, and the functions that return what belongs to a kind."""
     sections = [
         heading("Constants of the protocol"),
         "\n".join(define(macro_name(name), f"{value}u", note) for name, value, note in _limits()),

@@ -102,7 +102,7 @@ def _mask_size(record: Record) -> str:
 
 
 def validity_source(record: Record) -> str:
-    """Return the function that tells whether every field has an allowed value; empty when all values are."""
+    """Return the function that checks whether every field has an allowed value; empty when all values are."""
     restricted = [f for f in record.layout.fields if f.is_restricted]
     if not restricted:
         return ""

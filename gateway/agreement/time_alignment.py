@@ -38,7 +38,7 @@ class TimeAlignment:
 
     lag_s: float
     drift_ppm: float
-    """0 where the overlap is too short to tell."""
+    """0 where the overlap is too short to estimate it."""
     middle_s: float
     correlation: float
     """Of the angular speeds at that lag, −1 … 1."""

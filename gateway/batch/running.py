@@ -55,7 +55,7 @@ def run_jobs(
     workers: int | None = None,
     dask: str | None = None,
 ) -> None:
-    """Perform all; ``done`` is told of each as it ends, in this process. One that fails stops no other.
+    """Perform all; ``done`` is called with each as it ends, in this process. One that fails stops no other.
 
     workers: processes; None: as many as cores. dask: address of a scheduler instead. Raises ``GatewayError``
     when that cannot be reached. Interrupted, the processes are ended, and nothing half made is left.

@@ -59,7 +59,7 @@ TRUNK_LENGTH = {
 """Of stature, from below."""
 
 NO_MASS_KG = 1e-6
-"""Of segments that the tables count to their neighbours: the solver wants more than nothing."""
+"""Of segments that the tables count to their neighbours: the solver needs more than zero."""
 HEEL_BEHIND_ANKLE = 0.25
 """Of the foot's length."""
 MEAN_STATURE_M = 1.738

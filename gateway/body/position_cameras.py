@@ -13,7 +13,7 @@ from gateway.errors import SettingsError
 
 
 class PositionCameras(BaseModel):
-    """Cameras that tell where the wearer of the modules is."""
+    """Cameras that locate the wearer of the modules."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

@@ -171,7 +171,7 @@ class MagneticField(_Strict):
 
 
 class Place(_Strict):
-    """Where on earth: tells, with the date and time, where the sun stands."""
+    """Where on earth: gives, with the date and time, where the sun stands."""
 
     latitude_deg: float = Field(ge=-90, le=90, description="north, degrees")
     longitude_deg: float = Field(ge=-180, le=180, description="east, degrees")

@@ -82,7 +82,7 @@ class LocalDevice:
 
 @dataclass(frozen=True)
 class SunCells:
-    """Photoelectric cells on the modules, and the place on earth that tells where the sun stands."""
+    """Photoelectric cells on the modules, and the place on earth that gives where the sun stands."""
 
     latitude_deg: float
     longitude_deg: float
@@ -160,7 +160,7 @@ class WornSuit:
 
     @property
     def marker_labels(self) -> tuple[str, ...]:
-        """Names of the markers that poses tell of; none where they are keypoints, which no pose tells of."""
+        """Names of the markers that poses report; none where they are keypoints, which no pose reports."""
         return () if self.markers is None or self.video is not None else self.markers.labels
 
 

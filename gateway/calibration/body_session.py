@@ -32,7 +32,7 @@ from gateway.geometry import quaternion
 LONGEST_S = 1200.0
 """A session forgets what is older than so long."""
 TRUSTED_FIELD_CHANGE = 0.10
-"""Relative change of the field's strength up to which it tells headings."""
+"""Relative change of the field's strength up to which it gives headings."""
 HINGE_SIGMA = np.radians(5.0)
 """Of a knee's axis as found in any movement: no knee is a hinge."""
 _LIVE_S = 0.3
@@ -211,7 +211,7 @@ class BodySession:
         poses = [term for term in poses if term.segment in told]
         posed = {term.segment for term in poses}
         axes = [term for term in axes if term.segment in posed]
-        # A module without heading can only be told by a joint that connects it to one with a heading.
+        # A module without heading gets one only by a joint that connects it to a module with a heading.
         equations = {
             child: one for child, one in equations.items() if {child, int(skeleton.parents[child])} <= posed
         }
@@ -316,7 +316,7 @@ class BodySession:
 
 
 def _reached(told: set[int], equations: Mapping[int, JointEquations], parents: list[int]) -> set[int]:
-    """Return segments whose heading is told, or can be had from a neighbour by the joint between them."""
+    """Return segments whose heading is known, or can be had from a neighbour by the joint between them."""
     reached = set(told)
     for _ in equations:
         for child in equations:

@@ -32,7 +32,7 @@ _TOML_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 def import_cameras(path: Path, unit: str = "m") -> tuple[Camera, ...]:
     """Read the cameras of a file by another program, recognised by its name. Raises ``SettingsError``.
 
-    unit: of lengths in TOML and OpenCV files, which do not tell theirs: m, cm or mm.
+    unit: of lengths in TOML and OpenCV files, which do not name theirs: m, cm or mm.
     """
     if unit not in _TOML_UNITS:
         raise SettingsError(f"unit '{unit}': one of {', '.join(_TOML_UNITS)} is wanted")
@@ -142,7 +142,7 @@ def _toml_camera(key: str, table: Mapping[str, Any], metres: float, where: str) 
     if table.get("fisheye"):
         raise SettingsError(f"{where} is a fisheye camera: undistort its pictures first")
     width, height = _numbers(table, "size", (2,), where)
-    # A rotation vector in some programs, a matrix in others: the count of numbers tells.
+    # A rotation vector in some programs, a matrix in others: the count of numbers decides.
     turn = _numbers(table, "rotation", None, where)
     if turn.size not in (3, 9):
         raise SettingsError(

@@ -14,14 +14,14 @@ from gateway.frames import FloatArray
 
 FEWEST_VIEWS = 4
 _VIEWS_FOR_K3 = 15
-"""Fewer do not tell the third radial coefficient: it then only fits noise."""
+"""Fewer do not determine the third radial coefficient: it then only fits noise."""
 _NARROW = 0.5
 """Share of the picture's width and height that the corners of all views should span at least."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """What a camera's pictures of the board tell."""
+    """What a camera's pictures of the board show."""
 
     matrix: FloatArray  # (3, 3) pixels
     distortion: FloatArray  # (5,)

@@ -33,7 +33,7 @@ class BoardPicture:
 
 @dataclass(frozen=True)
 class CamerasResult:
-    """What the pictures tell."""
+    """What the pictures show."""
 
     cameras: tuple[Camera, ...]
     lenses: tuple[Lens, ...]

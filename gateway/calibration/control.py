@@ -84,7 +84,7 @@ class CalibrationControl:
         return answer
 
     async def _measure(self, request: MeasureRequest) -> dict[str, Any]:
-        """Tell the measures; new ones are kept first, and the body of them is worn once they are read."""
+        """Answer with the measures; new ones are kept first, and worn once they are read."""
         skeleton = self._pipeline.suit.skeleton
         changes = measured(request.height_m, request.mass_kg, request.lengths)
         if not changes:

@@ -110,7 +110,7 @@ def _left_at(equations: JointEquations, heading: float) -> float:
     units = [features(unit[:3], unit[3:], heading) - origin for unit in np.eye(6)]
     design = equations.triangle @ np.stack(units, axis=1)
     target = -(equations.triangle @ origin)
-    # joints lie within the body: a little stiffness keeps what motion does not tell near the module
+    # joints lie within the body: a little stiffness keeps what motion does not determine near the module
     stiff = np.sqrt(1e-4 * max(equations.n, 1)) * np.eye(6)
     rho = np.linalg.lstsq(np.vstack([design, stiff]), np.concatenate([target, np.zeros(6)]), rcond=None)[0]
     return float(np.sum((design @ rho - target) ** 2))

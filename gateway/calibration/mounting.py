@@ -59,7 +59,7 @@ def write_mounted_rig(
 
 
 def worn_rig(source: Path) -> Path:
-    """Return where a calibration of this rig goes unless told: the file itself, but never a shipped one."""
+    """Return where a calibration of this rig goes by default: the file itself, but never a shipped one."""
     is_shipped = shipped_folder().resolve() in source.resolve().parents
     return Path(f"{source.stem}.worn.yaml") if is_shipped else source
 

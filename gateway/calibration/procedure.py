@@ -1,4 +1,4 @@
-"""What the wearer is asked to do, and what each step tells of which segment.
+"""What the wearer is asked to do, and what each step shows of which segment.
 
 Movements turn segments about their z axis, which points to the right (ISB); segments are known by name.
 """
@@ -102,7 +102,7 @@ PROCEDURE: tuple[Step, ...] = (
 
 
 def procedure_for(skeleton: Skeleton) -> tuple[Step, ...]:
-    """Return the steps that tell something about this body. Raises ``GatewayError`` for other bodies."""
+    """Return the steps that are of use for this body. Raises ``GatewayError`` for other bodies."""
     names = set(skeleton.segment_names)
     if not names & {segment for step in PROCEDURE for segment in step.turns}:
         raise GatewayError(

@@ -16,7 +16,7 @@ from gateway.sources.stream import Stream
 
 @contextlib.contextmanager
 def fed(session: SensorSession, stream: Stream, makers: MakersModules) -> Iterator[None]:
-    """Have a session told of all samples meanwhile, of our modules and of other makers'."""
+    """Feed a session with all samples meanwhile, of our modules and of other makers'."""
 
     def take(received: ReceivedPacket, chunk: Chunk) -> None:
         sample = received.packet

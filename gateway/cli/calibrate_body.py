@@ -87,7 +87,7 @@ def result_table(result: BodyResult) -> Table:
 
 
 def _reasons(reasons: Sequence[str]) -> str:
-    """Return the worst one; the others are counted, and told by ``--json``."""
+    """Return the worst one; the others are counted, and shown by ``--json``."""
     more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
     return reasons[0] + more if reasons else ""
 

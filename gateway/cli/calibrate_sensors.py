@@ -205,7 +205,7 @@ def sensors(
 
 
 def _about_the_field(dip_deg: float, worn: WornSuit, *, is_written: bool) -> str:
-    """Return a line about the local field: who tells headings by it should know it."""
+    """Return a line about the local field: who takes headings from it should know it."""
     had = field_dip_deg(worn.magnetic_field)
     found = f"the field points {dip_deg:.1f}° below the horizontal here"
     if abs(dip_deg - had) < _SAME_DIP_DEG:

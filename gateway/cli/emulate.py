@@ -405,7 +405,7 @@ def _suit_settings(wanted: Emulation, suit: WornSuit) -> SuitSettings:
 
 
 def _motion(wanted: Emulation, suit: WornSuit) -> BodyMotion:
-    """Return what the wearer does. Raises ``GatewayError`` for modules that cannot be worn as told."""
+    """Return what the wearer does. Raises ``GatewayError`` for modules that cannot be worn as asked."""
     body = dress(suit)
     if wanted.strap_on is StrapOn.RANDOM:
         body = strapped_on(body, wanted.seed)

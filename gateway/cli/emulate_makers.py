@@ -76,7 +76,7 @@ def say_links(urls: Mapping[int, str], suit: EmulatedSuit, spoken: SpokenSuit, a
 
 
 def _links(urls: Mapping[int, str], spoken: SpokenSuit) -> list[dict[str, object]]:
-    """Return a link a device; of those that share one, one with what tells them apart."""
+    """Return a link a device; of those that share one, one with what distinguishes them."""
     if not any(voice.shares_link for voice in spoken.voices.values()):
         return [_link(module, url, spoken) for module, url in urls.items()]
     told: dict[str, dict[str, object]] = {}

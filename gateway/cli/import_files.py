@@ -121,7 +121,7 @@ def _suit(
     from gateway.imports.segment_names import mapped_segments
     from gateway.imports.suits import Worn, dressed
 
-    # A rig names its modules itself; only without one do names of modules have to tell.
+    # A rig names its modules itself; only without one the modules' own names are used.
     if wanted.rig is not None:
         return load_rig(wanted.rig), []
     segments = load_body(wanted.body or BODY).segment_names

@@ -82,7 +82,7 @@ _FIRST = "first start: compiling what the first poses need, once; about ten seco
 
 
 def make_ready(reconstructor: str) -> None:
-    """Compile a method that is not yet, and tell why that takes its time."""
+    """Compile a method that is not yet, and say why that takes its time."""
     from gateway.service import readiness
 
     if reconstructor == OPTICAL:

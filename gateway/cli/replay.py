@@ -248,7 +248,7 @@ def _verify(recording: Recording, as_json: bool) -> None:
         typer.echo(f"different: {found.difference}")
         for reason in _reasons(recording):
             typer.echo(f"  {reason}")
-    # The exit code tells a script, whatever was printed.
+    # A script reads the exit code, whatever was printed.
     if not found.is_identical:
         raise typer.Exit(1)
 

@@ -1,6 +1,6 @@
-"""Instants of samples that bear no stamp, from when they arrived and how many there were.
+"""Instants of samples without a stamp, from when they arrived and how many there were.
 
-Their numbers must be known: of samples that bear none ``gateway.sources.arrival_counter`` finds those first.
+Their numbers must be known: of samples without any ``gateway.sources.arrival_counter`` finds those first.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class ArrivalLine:
             self.interval_ns = max(1.0, (arrived_ns - self._first_ns) / self._samples)
 
     def _paused(self, late_ns: float) -> float:
-        """Return by how much the line is to be moved, because all samples are late of late."""
+        """Return by how much the line is to be moved, because all recent samples are late."""
         if late_ns <= self.interval_ns:
             self._late = 0
             return 0.0

@@ -13,7 +13,7 @@ _SAME_CHUNK_NS = 200_000
 _SHORTEST_SLOT_US = 400.0
 _GAPS = 256
 _FIRST_GAPS = (12, 48)
-"""The slot is told early, from few gaps, since the clocks begin without knowing it; then better."""
+"""The slot is estimated early, from few gaps, since the clocks begin without knowing it; then better."""
 _TOLERANCE = 0.15
 """How far, as a part of the slot, a gap may be from a multiple of it: the host wakes up late."""
 _SHARE = 0.95

@@ -117,7 +117,7 @@ class DelayFloor:
             after, P_after, score, residual_us = floor_filter.update(x, P, *packets)
         if abs(after[1]) < _LARGEST_RATE_PPM:
             x, P = after, P_after
-        else:  # no crystal is like that: a backlog that came all at once; it tells the least delay only
+        else:  # no crystal is like that: a backlog that came all at once; it gives the least delay only
             x[0] = min(x[0], float((delays_us - x[1] * elapsed_s).min()))
         self._x, self._P, self._time_us = x, P, newest_us
         n = len(delays_us)

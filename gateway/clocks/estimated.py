@@ -39,7 +39,7 @@ class EstimatedClock(Row):
     never run backwards, and no instant lies after its arrival.
 
     In the first seconds (the opening) every block ends with all packets so far being taken in together, anew:
-    block by block, what a few of them seemed to tell would be believed.
+    block by block, what a few of them seemed to show would be believed.
 
     Arrivals alone leave the constant part of the delay in the offset. Two-way exchanges
     (``add_exchange``) take it out: the least delays of the way there and of the way back enclose the
@@ -226,7 +226,7 @@ class EstimatedClock(Row):
         return abs(self._believed_slot_us - before_us) > _SLOT_NEWS * max(self._believed_slot_us, before_us)
 
     def _slot_us(self, elapsed_s: FloatArray) -> float:
-        """Return the link's slot, unless the module samples in step with it: then it tells nothing.
+        """Return the link's slot, unless the module samples in step with it: then it has no information.
 
         Exchanges are in step with nothing, and where in its slot a module samples is known by them.
         """

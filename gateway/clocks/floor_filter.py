@@ -3,7 +3,7 @@
 ``d`` = arrival − module time = offset + transport delay, and transport only ever delays. For delays that are
 exponential above their floor the lowest line under all points is the maximum-likelihood estimate (Jeske 2005,
 "On maximum-likelihood estimation of clock offset"). A link that hands over what it has every ``slot`` (USB)
-tells only that a packet came within ``(B − slot, B]``; a module in step with the link would then show the
+says only that a packet came within ``(B − slot, B]``; a module in step with the link would then show the
 same excess for ever, and its envelope would be wrong by up to one slot. The likelihood of the interval
 
     P(u) = F(u) − F(u − slot),  F(u) = 1 − exp(−u / m) for u > 0,  u = B − module time − offset
@@ -198,7 +198,7 @@ def update(
     and the mean of u (µs).
     """
     n = len(t)
-    # No sharper than so many packets can tell the floor, or the first few would be believed.
+    # No sharper than so many packets can determine the floor, or the first few would be believed.
     corner = max(SHARPNESS_US, min(m / (TRUST * n), math.sqrt(P[0, 0])))
     lowest = 0.0
     for k in range(n):

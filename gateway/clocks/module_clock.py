@@ -14,7 +14,7 @@ SAME_CLOCK_NS = 2_000_000_000
 
 
 RATE_SETTLED_PPM = 5.0
-"""A rate is told once its standard deviation is no more than this: after some 10 s over an ordinary link."""
+"""A rate is published once its standard deviation is this or less: after some 10 s over an ordinary link."""
 
 
 class ClockFigures(NamedTuple):
@@ -39,7 +39,7 @@ class ClockFigures(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether the rate is known well enough to be told."""
+        """Whether the rate is known well enough to be published."""
         return self.rate_sigma_ppm <= RATE_SETTLED_PPM
 
 

@@ -1,4 +1,4 @@
-"""Two-way exchanges with one module: what was asked, and what an answer tells. Sans-I/O.
+"""Two-way exchanges with one module: what was asked, and what an answer says. Sans-I/O.
 
 The gateway sends a request at ``t1`` (gateway time); the module notes its own time ``t2`` when it comes and
 ``t3`` when it answers; the answer arrives at ``t4``. Gateway time minus module time then lies between

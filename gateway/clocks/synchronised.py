@@ -63,7 +63,7 @@ class SynchronisedClocks:
 
 
 class SynchronisedClock:
-    """A module that counts the time of a group: what a group is told by one, all go by."""
+    """A module that counts the time of a group: what one member is sent holds for all."""
 
     def __init__(self, all_clocks: SynchronisedClocks, batching: LinkBatching) -> None:
         self.restarts = 0

@@ -61,7 +61,7 @@ class _Outstanding:
 
 
 class TriggerAnswers:
-    """Told of every trigger that left and of every sample that came, in order."""
+    """Takes note of every trigger that left and of every sample that came, in order."""
 
     def __init__(self, module_ids: Sequence[int], patience_ns: int) -> None:
         """Begin without triggers.

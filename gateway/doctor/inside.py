@@ -56,7 +56,7 @@ def ports_of(links: list[LinkSettings], here: Surroundings) -> list[dict[str, st
     found: list[dict[str, str | None]] = [
         {"name": port, "link": users.get(str(Path(port).resolve()))} for port in serial_ports()
     ]
-    # The kernel tells CAN from Ethernet by the interface's type.
+    # The interface's type distinguishes CAN from Ethernet.
     for kind in sorted((here.sysfs / "class" / "net").glob("*/type")):
         if kind.read_text().strip() == _CAN:
             name = kind.parent.name

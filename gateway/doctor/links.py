@@ -343,7 +343,7 @@ def _line(subject: str, url: str, garbled: int, received: int, carries: str = SU
 def _signatures(subject: str, unverified: Mapping[Defect, int]) -> Iterator[Finding]:
     """Yield findings on a signed link."""
     for defect, count in unverified.items():
-        # A module without a count yet is told it by the gateway: that is the normal start, and nothing to
+        # A module without a count yet gets it from the gateway: that is the normal start, and nothing to
         # find.
         if defect is not Defect.OUTDATED:
             remedy = "give every module that may send there the key of the link; find out who else sends"

@@ -22,7 +22,7 @@ _RETAINED_S = 0.7
 
 
 async def module_states(settings: MqttSettings, gateway: str) -> dict[int, ModuleState] | None:
-    """Return the states of a running gateway's modules; None: no such gateway runs, as far as can be told."""
+    """Return the states of a running gateway's modules; None: no such gateway runs, as far as can be seen."""
     if settings.broker == "embedded" and settings.port == 0:
         return None
     topics = Topics(settings.base_topic, gateway)

@@ -33,12 +33,12 @@ class BothWays:
             stream.add_link(name, content)
 
     def listen(self, packet_class: type[Packet]) -> None:
-        """Have packets of a class told to a listener, whose calls are compared too."""
+        """Call a listener with packets of a class; its calls are compared too."""
         for stream, heard in zip(self._streams, self._heard, strict=True):
             stream.listen(packet_class, _noting(heard))
 
     def sent(self, chunk: SentChunk) -> None:
-        """Tell both what left."""
+        """Pass what left to both."""
         for stream in self._streams:
             stream.sent(chunk)
 

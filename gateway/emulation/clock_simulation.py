@@ -1,6 +1,6 @@
 """Stamps and arrivals of a suit as arrays: crystals that drift, a link that delays and batches.
 
-Behind a relay unit that sends every tick what came, samples tell the tick, and answers the clock.
+Behind a relay unit that sends every tick what came, samples show the tick, and answers the clock.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 After two seconds of rest every joint turns about all its axes, sums of sines of incommensurate frequencies.
 On a fixed base the last modules feel 30 to 60 m/s² RMS, as in throwing or boxing; on a base that is carried
-about, whose position a local device tells, all modules feel about as much. Frames come straight from the
+about, whose position a local device measures, all modules feel about as much. Frames come straight from the
 sensors' equations, at instants that the clock residue moves.
 """
 
@@ -84,7 +84,7 @@ def fast_arm() -> WornSuit:
 
 
 def carried_arm() -> WornSuit:
-    """Return the same arm with a local device that tells the position of its base."""
+    """Return the same arm with a local device that measures the position of its base."""
     device = LocalDevice(Quantity.POSITION, 0, np.zeros(3), POSITION_DEVICE)
     return replace(fast_arm(), local_devices=(device,))
 
@@ -123,7 +123,7 @@ def sampled(
     rate_hz: float = RATE_HZ,
     seconds: float = SECONDS,
 ) -> list[ImuFrame]:
-    """Return all frames of a chain, sensor axes; where a local device tells a position, its readings as well.
+    """Return all frames of a chain, sensor axes; where a local device measures a position, its readings too.
 
     suit: any whose modules are those of its segments, in their order and with their axes.
     """

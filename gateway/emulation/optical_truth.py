@@ -1,5 +1,5 @@
 """A simulated capture: a moving body with markers whose true pose is known, all that goes wrong with them,
-and how far a fitted body is from it; which real trials are measured beside it, and what their files tell."""
+and how far a fitted body is from it; which real trials are measured beside it, and what their files hold."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SECONDS = 12.0
 STANDING = (0.0, 0.9)
 _NEAR_GIMBAL = np.radians(15.0)
 UNTOLD = {"btk": {"marker_diameter": 0.016}}
-"""Of a subject, m, what the files do not tell: with 16 mm markers the rules give their centres exactly."""
+"""Of a subject, m, what the files do not hold: with 16 mm markers the rules give their centres exactly."""
 TRIALS = {
     "pycgm": ("plug_in_gait", "c3d_pycgm/Static_trial.c3d", "c3d_pycgm/Movement_trial.c3d"),
     "btk": (

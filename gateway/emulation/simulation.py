@@ -85,7 +85,7 @@ def ideal_frames(
     """Yield noise-free frames at given times, in sensor axes, in the order of the rig's modules.
 
     Computed in extended precision where the machine has it, and rounded once: the sensors' values are
-    then exact to the last bit, which the method without gyroscopes can tell.
+    then exact to the last bit, which the method without gyroscopes would notice.
     """
     n = len(suit.module_ids)
     R_bs = Rotation.from_quat(body.sensor_to_segment, scalar_first=True).as_matrix()

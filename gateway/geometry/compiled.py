@@ -92,7 +92,7 @@ class KernelLocator:
         return self._fingerprint
 
     def get_disambiguator(self) -> str:
-        """Return what tells this state of the kernel from others in the file's name."""
+        """Return the part of the file's name that is of this state of the kernel alone."""
         return self._fingerprint
 
 

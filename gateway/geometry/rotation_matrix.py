@@ -1,6 +1,6 @@
 """Rotation matrices: exponential, logarithm of a product, and the two-vector solve. Compiled.
 
-``…_into`` and ``turn…`` write where they are told and make no array, for loops over many segments.
+``…_into`` and ``turn…`` write to the array that is given and make none, for loops over many segments.
 """
 
 from __future__ import annotations

@@ -160,7 +160,7 @@ class MakersModules:
 
     @contextlib.contextmanager
     def watched(self, watch: SampleWatcher) -> Iterator[None]:
-        """Have somebody told of all samples meanwhile."""
+        """Call ``watch`` with all samples meanwhile."""
         sources = list(dict.fromkeys(self._sources.values()))
         for source in sources:
             source.watchers.append(watch)

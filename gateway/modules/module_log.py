@@ -28,7 +28,7 @@ _EVENTS = {
 _LEVELS = {1: "error", 2: "warning", 3: "info", 4: "debug"}
 
 MOST_LINES = 5
-"""Lines of one module in one interval; what is more is counted and told with the next one."""
+"""Lines of one module in one interval; what is more is counted and reported with the next one."""
 
 INTERVAL_NS = 1_000_000_000
 
@@ -87,7 +87,7 @@ class Strangers:
         return len(self.names.keys() & self._stream.modules.keys())
 
     def news(self) -> str | None:
-        """Return who is heard and not in the rig, and what to do; None when that was told already."""
+        """Return who is heard and not in the rig, and what to do; None when that was reported already."""
         heard = self._stream.modules
         strangers = {module for module in heard if module not in self.names} - self._unworn
         if strangers <= self._reported:

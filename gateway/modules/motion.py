@@ -1,4 +1,4 @@
-"""Which module was shaken or tapped: told sans-I/O from its samples, and listened for.
+"""Which module was shaken or tapped: decided sans-I/O from its samples, and listened for.
 
 A module that says itself that it was tapped is believed. Otherwise what counts is how much its specific
 force swings, against how much it swung before: a person who is shaking one module moves others too,
@@ -46,7 +46,7 @@ class Motion(NamedTuple):
 
     module: int
     sign: str
-    """What told: ``tap``, ``shake``, … of the module itself, or ``motion`` seen in its samples."""
+    """The sign: ``tap``, ``shake``, … of the module itself, or ``motion`` seen in its samples."""
 
 
 class _Swing:
@@ -193,9 +193,9 @@ class MotionWatch:
         """Return the next module that is shaken or tapped; None when none is within the time.
 
         continues: what has moved since the last look counts too.
-        Whoever looks meanwhile waits: one motion is told to one of them.
+        Others that look meanwhile wait: one motion is reported to one of them.
 
-        Raises ``AmbiguousMotionError`` naming the modules when there is no telling which.
+        Raises ``AmbiguousMotionError`` naming the modules when they cannot be told apart.
         """
         async with self._turn:
             return await self._next(seconds, continues)

@@ -26,7 +26,7 @@ from gateway.sources.stream import Stream
 
 _LOOK_S = 0.1
 _LISTENED_S = 1.2
-"""On UDP only those who were heard can be asked; modules that do not sample tell their health each second."""
+"""On UDP only those who were heard can be asked; modules that do not sample send their health each second."""
 _FREED_S = 1.0
 """For so long a port may still be taken by a program that is just ending."""
 
@@ -120,7 +120,7 @@ class _Sources:
             await asyncio.sleep(_LOOK_S)
 
     def add(self, link: ReconnectingLink, carries: str) -> dict[str, Source]:
-        """Announce an open link; return what reads it, by the names that its chunks bear."""
+        """Announce an open link; return what reads it, by the names that its chunks have."""
         routes = {}
         for name, content in contents_of(link.link, carries).items():
             carried = carried_by(content)

@@ -29,7 +29,7 @@ SAMPLE_KINDS = (
     Kind.LOCAL_MEASUREMENT,
     Kind.PRESSURE_SAMPLE,
 )
-"""Kinds that a rate is told of."""
+"""Kinds that have a rate published."""
 
 
 class _Plain(BaseModel):
@@ -249,9 +249,9 @@ class ModuleStates:
     """The modules of the rig, and whoever else is heard.
 
     silent_after_ns: a module counts as offline after so long without a packet.
-    interval_ns: the figures of one module are told at most so often; silence and return are told at once.
+    interval_ns: the figures of one module are sent at most so often; silence and return are sent at once.
     late: samples that came too late for their frame, by module.
-    doubts: asked why modules' segments are doubtful, by module; a new doubt is told at once.
+    doubts: asked why modules' segments are doubtful, by module; a new doubt is sent at once.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 """Recordings: everything that came and was made of it, in one MCAP file a session.
 
-``devices.recording_format`` tells what stands in a file. ``recorder`` writes one while the gateway runs;
+``devices.recording_format`` says what is in a file. ``recorder`` writes one while the gateway runs;
 ``reading`` opens one for whatever is to be made of it; ``solving`` recomputes its poses.
 """
 

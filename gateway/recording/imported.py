@@ -79,7 +79,7 @@ def solve_into(
 ) -> tuple[int, float]:
     """Write chunks and the poses that a pipeline makes of them, and its statistics at the end.
 
-    solved: told the number of every chunk after it. Returns how many poses, and processor time in s.
+    solved: called with the number of every chunk after it. Returns how many poses, and processor time in s.
     """
     frames, spent = 0, 0.0
     for index, chunk in enumerate(chunks):
@@ -96,7 +96,7 @@ def solve_into(
 
 
 def origin_event(kind: str, sources: Iterable[Path], time_ns: int, **more: Any) -> bytes:
-    """Return the event that tells which files, with their checksums, it all came from. Raises OSError."""
+    """Return the event that names the files, with their checksums, that it all came from. Raises OSError."""
     files = {
         path.name: hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "folder"
         for path in sources

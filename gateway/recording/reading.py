@@ -35,7 +35,7 @@ from gateway.support.settings_files import is_union_tag
 _log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
-"""Told bytes read and bytes in all, now and then."""
+"""Called now and then with bytes read and bytes in all."""
 
 _MESSAGES_A_REPORT = 512
 
@@ -117,7 +117,7 @@ class RecordingMeta:
 
     @property
     def has_suit(self) -> bool:
-        """Whether the suit is told: a file downloaded from a memory card has only chunks."""
+        """Whether the suit is known: a file downloaded from a memory card has only chunks."""
         return fmt.SUIT in self.attachments
 
     @property
@@ -263,7 +263,7 @@ def _take_delay_out_of_name(plain: Any) -> None:
 
 
 def _take_out_receivers(plain: Any) -> None:
-    """Remove what every link used to tell, and is the settings of a satellite receiver."""
+    """Remove what every link used to say, and is the settings of a satellite receiver."""
     links = plain.get("links", ()) if isinstance(plain, dict) else ()
     for link in links:
         if isinstance(link, dict) and link.get("carries") != "gnss":

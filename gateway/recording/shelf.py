@@ -41,7 +41,7 @@ from gateway.settings import RecordingSettings
 
 _UNNAMED = "{name}: a name of up to 128 letters a to z, digits, '-', '_' and '.' is wanted here: rename it"
 _LONGEST_QUOTED = 60
-"""Letters of a name that is told."""
+"""Letters shown of a name."""
 Perform = Callable[[str, Mapping[str, Any]], Awaitable[dict[str, Any]]]
 _ENDINGS = frozenset({fmt.SUFFIX, *(each.suffix for each in FORMATS.values())})
 _MB = 1e6
@@ -87,7 +87,7 @@ class Shelf:
         # The file that is being written has no index yet, and grows while it is read.
         if under_way is not None:
             recordings = [r for r in recordings if under_way not in {file.path for file in r.parts.files}]
-        # Names that requests cannot carry are told, not dropped in silence.
+        # Names that requests cannot carry are listed, not dropped in silence.
         unnamed = [r for r in recordings if not _can_be_asked_for(r)]
         recordings = [r for r in recordings if _can_be_asked_for(r)]
         recordings.sort(key=lambda each: each.meta.begun_utc_ns, reverse=True)

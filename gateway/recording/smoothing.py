@@ -101,7 +101,7 @@ class SmoothedPoses:
         return (list(islice(poses, count)) for count in self._completed)
 
     def poses(self, progress: Progress | None = None) -> Iterator[SkeletonFrame]:
-        """Yield all of them. progress: of this half of the work, told per section in proportion to its
+        """Yield all of them. progress: of this half of the work, called per section in proportion to its
         frames."""
         total, done = max(1, sum(section.n_frames for section in self._sections)), 0
         for section in self._sections:

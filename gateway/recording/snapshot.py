@@ -1,4 +1,4 @@
-"""What a recording tells beside the data: suit, configuration without secrets, software and host.
+"""What a recording holds beside the data: suit, configuration without secrets, software and host.
 
 The suit stands there twice: as JSON with every number bit for bit, since reading a rig file normalises
 quaternions; and as the rig and body files that people edit. JSON fields are found by the dataclasses

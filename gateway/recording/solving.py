@@ -205,7 +205,7 @@ def _solved_session(solved_from: str, attachments: Mapping[str, bytes]) -> str:
 def _poses_by_message(
     recording: Recording, source: Source, progress: Progress | None
 ) -> Iterator[tuple[Callable[[RecordedMessage], list[SkeletonFrame]], Progress | None]]:
-    """Yield a function that gives the frames each message completes, and who is told of progress meanwhile.
+    """Yield a function that gives the frames each message completes, and what takes the progress meanwhile.
 
     The function is called with every message, in order. For smoothed poses all messages are gone through
     before, and progress has then been reported.
@@ -225,7 +225,7 @@ def _poses_by_message(
 
 
 def _half(progress: Progress | None, which: int) -> Progress | None:
-    """Tell the whole of a stage as the first (0) or the second (1) half of the work."""
+    """Report the whole of a stage as the first (0) or the second (1) half of the work."""
     if progress is None:
         return None
     return lambda done, total: progress(which * total + done, 2 * total)
@@ -242,7 +242,7 @@ def _fed(pipeline: Pipeline, message: RecordedMessage) -> list[SkeletonFrame]:
 
 
 def _with_progress(recording: Recording, progress: Progress | None) -> Iterator[RecordedMessage]:
-    """Yield all messages of known topics; tells how far it is."""
+    """Yield all messages of known topics; reports how far it is."""
     total = recording.parts.size
     for count, message in enumerate(recording.parts.messages()):
         if progress is not None and count % _MESSAGES_A_REPORT == 0:

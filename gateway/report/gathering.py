@@ -1,4 +1,4 @@
-"""What a report tells, gathered in one pass over a recording; memory does not grow with its length."""
+"""What a report shows, gathered in one pass over a recording; memory does not grow with its length."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ LARGEST_HEAD = 16 * 1024
 FIRST_REQUEST_S = 2.0
 """Longest silence of a client."""
 MOST_CLIENTS = 16
-"""At one time; for any more the oldest that has not told its request is hung up on."""
+"""At one time; for any more, the oldest that has not sent its request is disconnected."""
 MOST_OF_ONE_ADDRESS = 12
 """Of those, with a request that is being answered."""
 

@@ -33,7 +33,7 @@ Clock = Callable[[], int]
 
 
 class Observer:
-    """Looks at a running gateway a few times a second, and tells what it sees. Belongs to one event loop."""
+    """Looks at a running gateway a few times a second, and publishes what it sees; of one event loop."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class Observer:
 
     @contextlib.asynccontextmanager
     async def watching(self) -> AsyncIterator[None]:
-        """Look and tell until left; then every module is offline. Raises ``OutputError`` for a busy port."""
+        """Look and publish until left; then all modules are offline. Raises ``OutputError`` for a busy port."""
         self.look()
         async with self.metrics or contextlib.nullcontext():
             looking = asyncio.create_task(self._look_for_ever(), name="observer")

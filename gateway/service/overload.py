@@ -56,7 +56,7 @@ CALM_S_LONGEST = 80.0
 
 
 class LoadWatch:
-    """Told of every chunk that was handled; says which stage of ``SHED`` holds."""
+    """Takes note of every chunk that was handled; decides which stage of ``SHED`` holds."""
 
     def __init__(self) -> None:
         self.stage = 0

@@ -192,7 +192,7 @@ class Service:
 
     @property
     def can_flow(self) -> bool:
-        """Whether every link is attended to, and the output lives: what the watchdog wants to know."""
+        """Whether every link is read and the MQTT output works: what the watchdog asks."""
         return (
             bool(self._ingesting)
             and not any(task.done() for task in self._ingesting)
@@ -321,7 +321,7 @@ class Service:
                 self._ingesting.append(group.create_task(self._ingest(link), name=f"link {link.name}"))
 
     def _least_charge(self) -> float | None:
-        """Return the least charge of all modules, 0 to 1; None: none has told."""
+        """Return the least charge of all modules, 0 to 1; None: none has reported it."""
         told = [
             record.health.battery_percent
             for record in self.pipeline.modules.records.values()
@@ -330,7 +330,7 @@ class Service:
         return min((percent / 100 for percent in told if percent is not None), default=None)
 
     def _contents_of(self, link: Link) -> Mapping[str, str]:
-        """Return what a link carries, by the names that its chunks bear."""
+        """Return what a link carries, by the names that its chunks have."""
         return contents_of(link, self._carries.get(link.name, SUIT))
 
     def _takes_commands(self, link: Link) -> bool:
@@ -405,7 +405,7 @@ class Service:
             return []
 
     def _shed(self) -> None:
-        """Do what the stage of the load says, and tell it."""
+        """Do what the stage of the load asks for, and publish it."""
         holds = self.load.holds
         self.side.pause(self.load.stage >= SIDE_OUTPUTS)
         self.mqtt.relieve(holds.poses_hz, has_segments=self.load.stage < SEGMENT_TOPICS)
@@ -419,7 +419,7 @@ class Service:
         )
 
     def _note_lag(self, link: str, counts: LinkCounts, arrived_ns: int) -> None:
-        """Tell the load watch by how much a link is behind, also with what still waits in the system."""
+        """Give the load watch the time by which a link is behind, with what still waits in the system."""
         now_ns = gateway_time_ns()
         if counts.backlog_since_ns is not None:
             arrived_ns = min(arrived_ns, counts.backlog_since_ns)

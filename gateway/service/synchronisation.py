@@ -53,7 +53,7 @@ class Synchroniser:
             await self.ask_all()
 
     def statistics(self) -> dict[str, object]:
-        """Return nothing: what the answers are worth, the clocks tell."""
+        """Return nothing: the clocks have the figures of what the answers are worth."""
         return {}
 
     async def ask_all(self) -> None:

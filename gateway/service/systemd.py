@@ -1,4 +1,4 @@
-"""Telling systemd how the service is: ready, alive, stopping (sd_notify(3), the datagram protocol).
+"""Reports to systemd how the service is: ready, alive, stopping (sd_notify(3), the datagram protocol).
 
 Without systemd (no ``NOTIFY_SOCKET``) all of it does nothing.
 """
@@ -14,7 +14,7 @@ _PINGS_PER_TIMEOUT = 3.0
 
 
 def notify(*assignments: str) -> bool:
-    """Send ``READY=1`` and the like; True if there was somebody to tell. Never raises."""
+    """Send ``READY=1`` and the like; True if systemd listens. Never raises."""
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return False
@@ -29,7 +29,7 @@ def notify(*assignments: str) -> bool:
 
 
 def watchdog_interval_s() -> float | None:
-    """Return how often to say that we live; None where nobody watches this process."""
+    """Return how often to report that the service is alive; None where nobody watches this process."""
     microseconds, pid = os.environ.get("WATCHDOG_USEC", ""), os.environ.get("WATCHDOG_PID", "")
     if not microseconds.isdigit() or (pid and pid != str(os.getpid())):
         return None
@@ -37,8 +37,10 @@ def watchdog_interval_s() -> float | None:
 
 
 async def feed_watchdog(can_flow: Callable[[], bool]) -> None:
-    """Say that we live for as long as data can flow: a hung loop or a dead task is silence. Ends at once
-    where nobody watches."""
+    """Report that the service is alive for as long as data can flow; a hung loop or a dead task is silent.
+
+    Ends at once where no watchdog is set.
+    """
     interval_s = watchdog_interval_s()
     while interval_s is not None:
         if can_flow():

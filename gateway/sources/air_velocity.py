@@ -1,7 +1,7 @@
 """Velocity of pressure tubes (Pitot) through still air.
 
 A tube that points along its motion feels ``Δp = ½ ρ v |v|``; the air's density is ``ρ = p / (R T)``. Near
-rest the root makes much of little pressure, which the standard deviation tells: ``σ_v = σ_p / (ρ |v|)``, at
+rest the root makes much of little pressure, which the standard deviation shows: ``σ_v = σ_p / (ρ |v|)``, at
 most ``√(2 σ_p / ρ)``.
 """
 
@@ -17,7 +17,7 @@ GAS_CONSTANT = 287.05
 """J/(kg K), of dry air."""
 ABSOLUTE_ZERO_C = -273.15
 USUAL_TEMPERATURE_C = 15.0
-"""Where the device does not tell it: 20 K beside it are 3.5 % of the velocity."""
+"""Where the device does not send it: 20 K beside it are 3.5 % of the velocity."""
 PRESSURE_SIGMA = 0.2
 """Pa, of a differential sensor for ±500 Pa."""
 LOWEST_PRESSURE, HIGHEST_PRESSURE = 20_000.0, 120_000.0

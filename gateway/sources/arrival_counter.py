@@ -4,8 +4,8 @@ Samples are taken at even intervals, and what delays them on their way only ever
 least of ``arrival − number × interval`` over a few samples stays what it is, and rises by whole intervals
 where samples were lost. A burst after a stall does not count: in it that value falls from sample to sample.
 
-The stamps then go through the clock of any module. Where packets bear numbers, so that losses are known, and
-pings tell the way, ``gateway.clocks.ArrivalLine`` gives instants straight away.
+The stamps then go through the clock of any module. Where packets have numbers, so that losses are known, and
+pings measure the delay, ``gateway.clocks.ArrivalLine`` gives instants straight away.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class ArrivalCounter:
     def stamp(self, arrived_ns: int, count: int | None = None, n_lost: int = 0) -> tuple[int, int] | None:
         """Return number and stamp (32 bits, µs) of the next sample; None while its interval is learnt.
 
-        count: that it bears; n_lost: samples before it that are known to be lost.
+        count: the one that it has; n_lost: samples before it that are known to be lost.
         """
         last_ns, self._arrived_ns = self._arrived_ns, arrived_ns
         if self.interval_ns is None:

@@ -29,7 +29,7 @@ class SpikeLimits:
 
 
 _WATCHED = np.dtype([("n_seen", np.int64), ("spikes", np.int64)])
-"""Of one module: samples so far, at most two, and values replaced since that was last told."""
+"""Of one module: samples so far, at most two, and values replaced since the last report of that."""
 
 
 class Despiker:

@@ -11,7 +11,7 @@ from gateway.sources.statistics import ModuleRecord
 
 
 class TimeExchanges:
-    """Told of every request that left and of every answer that came. Sans-I/O."""
+    """Takes note of every request that left and of every answer that came. Sans-I/O."""
 
     def __init__(self, modules: Mapping[int, ModuleRecord]) -> None:
         """Match the exchanges of ``modules``, which is by id and grows as modules are heard."""

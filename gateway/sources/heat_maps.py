@@ -87,7 +87,7 @@ class HeatMapSource(ListeningSource):
 class _Instants:
     """Messages of several cameras put together by their sequence numbers, given out in order.
 
-    An instant waits for a camera that may still tell of it: not for one that has told of a later one (the
+    An instant waits for a camera that may still send it: not for one that has sent a later one (the
     messages of one camera keep their order), nor for one that is silent.
     """
 
@@ -121,7 +121,7 @@ class _Instants:
         self._last[row] = max(message.sequence, self._last[row])
         if message.sequence <= self._done:
             return False
-        # the senders share a clock; what it is offset by, the least delayed message tells
+        # the senders share a clock; its offset is that of the least delayed message
         offset = arrived_ns - message.time_ns
         self._offset_ns = offset if self._offset_ns is None else min(self._offset_ns, offset)
         self._waiting.setdefault(message.sequence, {})[row] = message

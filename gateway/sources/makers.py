@@ -38,7 +38,7 @@ _INTERVALS, _FEWEST_INTERVALS = 31, 8
 """Between stamps: of so many the lower quartile is the interval of the samples, once there are some."""
 
 LEAP_IN_NUMBER = "leap_in_number"
-"""Reason for which what bears a number, or a stamp, far from those before is dropped."""
+"""Reason for which a message with a number, or a stamp, far from those before is dropped."""
 _OVERTAKEN, _MISSED = 64, 10_000
 """By how much a number may be behind the newest one, and before it."""
 _LONGEST_INTERVAL_MS = 200
@@ -176,7 +176,7 @@ class MakersDevice:
         """Take note of what was put on the link."""
 
     def findings(self, rate_hz: float) -> Iterator[Advice]:
-        """Yield what would be better otherwise, as far as listening tells. rate_hz: of the poses."""
+        """Yield what would be better otherwise, as far as listening shows. rate_hz: of the poses."""
         yield from ()
 
     def feed(self, chunk: Chunk) -> Sequence[Any]:
@@ -193,9 +193,9 @@ class MakersDevice:
 
 
 SampleWatcher = Callable[[Sequence[Sample], Chunk], None]
-"""Told of the samples that a chunk gave. Must neither wait nor raise."""
+"""Called with the samples that a chunk gave. Must neither wait nor raise."""
 Listener = Callable[[Any], None]
-"""Told of every message of a module. Must neither wait nor raise."""
+"""Called with every message of a module. Must neither wait nor raise."""
 
 
 class MakersSource(ListeningSource):
@@ -215,7 +215,7 @@ class MakersSource(ListeningSource):
         self._links = context.links
         self._listeners: dict[tuple[str, int | None], list[Listener]] = {}
         self.watchers: list[SampleWatcher] = []
-        """Told of all samples, beside whoever takes them."""
+        """Called with all samples, beside what takes them."""
         self._accepted = 0
 
     def add_link(self, name: str, content: str) -> None:
@@ -257,7 +257,7 @@ class MakersSource(ListeningSource):
         self.devices[chunk.link].sent(chunk)
 
     def listen(self, link: str, module: int, listener: Listener) -> None:
-        """Have somebody told of every message of a module on a link, until ``stop_listening``."""
+        """Call a listener with every message of a module on a link, until ``stop_listening``."""
         self._listeners.setdefault((link, module), []).append(listener)
 
     def stop_listening(self, link: str, module: int, listener: Listener) -> None:

@@ -52,7 +52,7 @@ SAMPLE_KINDS = frozenset(
 class ModuleTable:
     """One record a module, made when it is first heard. Sans-I/O and deterministic.
 
-    A source of modules announces its links, tells of every chunk before its samples, then asks for the time
+    A source of modules announces its links, reports every chunk before its samples, then asks for the time
     of each sample and counts its number.
     """
 

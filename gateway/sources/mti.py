@@ -82,7 +82,7 @@ class MtiDevice(MakersDevice):
             self._note(message, modules)
             return None
         stamp_us = _stamp_us(message)
-        if stamp_us is None:  # it cannot be told when
+        if stamp_us is None:  # its instant is not known
             self.decoder.unused += 1
             return None
         record, time_ns = modules.timed(self.module, stamp_us % 2**32, chunk)

@@ -121,7 +121,7 @@ class MvnDevice(MakersDevice):
     def _dated(
         self, told: Sequence[tuple[int, _Reading]], message: Datagram, modules: ModuleTable, chunk: Chunk
     ) -> Iterable[tuple[ModuleRecord, _Reading]]:
-        """Return what segments tell with the records of their modules; ``_time_ns`` is then the instant."""
+        """Return the readings of segments with their modules' records; ``_time_ns`` is then the instant."""
         if not told:
             return ()
         told = sorted(told, key=lambda each: -each[0])  # the pelvis last: it is whom fused frames wait for

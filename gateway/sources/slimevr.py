@@ -435,7 +435,7 @@ class SlimevrCommands:
     """A tracker returns pings, and its magnetometer can be switched where it has one."""
 
     async def describe(self, line: CommandLine) -> Description:
-        """Wait until it returns a ping, and say what it told when it was greeted."""
+        """Wait until it returns a ping, and return what it sent when it was greeted."""
         device = line.device
         assert isinstance(device, SlimevrDevice)
         await line.ask(wire.ping(0), lambda message: message if isinstance(message, Pong) else None, "ping")
@@ -447,7 +447,7 @@ class SlimevrCommands:
         raise cannot_blink("a SlimeVR tracker knows no command for its light")
 
     async def read(self, line: CommandLine) -> dict[str, Any]:
-        """Return what can be set, as the tracker told it."""
+        """Return what can be set, as the tracker sent it."""
         device = line.device
         assert isinstance(device, SlimevrDevice)
         is_on = device.has_magnetometer(line.module)

@@ -54,7 +54,7 @@ from gateway.sources.source import SourceContext
 from gateway.sources.statistics import ModuleRecord
 
 Listener = Callable[[ReceivedPacket, Chunk], None]
-"""Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
+"""Called with a packet and the chunk that completed it, at once. Must neither wait nor raise."""
 
 
 _FORCE_CLIPPED, _RATE_CLIPPED = int(Clipped.SPECIFIC_FORCE), int(Clipped.ANGULAR_RATE)
@@ -116,7 +116,7 @@ class Stream:
         self.table.add_link(name)
 
     def listen(self, packet_class: type[Packet], listener: Listener) -> None:
-        """Have every packet of a class told to ``listener`` too, also one that came before."""
+        """Call ``listener`` with every packet of a class, also with one that came before."""
         self._listeners.setdefault(packet_class, []).append(listener)
         self._share(packet_class.KIND)
 
@@ -142,7 +142,7 @@ class Stream:
         return self._readings.end()
 
     def _take(self, packet: ReceivedPacket, chunk: Chunk) -> None:
-        """Tell a packet to whoever listens, and add what it reads."""
+        """Pass a packet to its listeners, and add what it reads."""
         for listener in self._listeners.get(type(packet.packet), ()):
             listener(packet, chunk)
         if packet.kind in FROM_HOST:

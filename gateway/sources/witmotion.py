@@ -99,7 +99,7 @@ class WitMotionCanLinkSettings(WitMotionLinkSettings):
 
 
 class WitMotionDevice(MakersDevice):
-    """A device sends neither count nor stamp: samples are told by their arrivals, and by packets damaged."""
+    """A device sends neither count nor stamp: samples are counted by arrivals and by damaged packets."""
 
     new_decoder = WitMotionDecoder
 
@@ -127,7 +127,7 @@ class WitMotionDevice(MakersDevice):
 
     def _inertial(self, message: Inertial, modules: ModuleTable, chunk: Chunk) -> Sample | None:
         self._newest = self._times.stamp(chunk.arrived_ns, n_lost=message.n_incomplete)
-        if self._newest is None:  # it cannot be told when
+        if self._newest is None:  # its instant is not known
             self.decoder.unused += 1
             return None
         number, stamp_us = self._newest

@@ -69,7 +69,7 @@ class Ximu3LinkSettings(MakersLinkSettings):
 
 
 class Ximu3Device(MakersDevice):
-    """A device numbers nothing: its stamps tell what is lost."""
+    """A device numbers nothing: its stamps show what is lost."""
 
     new_decoder = Ximu3Decoder
 
@@ -79,7 +79,7 @@ class Ximu3Device(MakersDevice):
         self._health = health()
 
     def sample(self, message: Message, modules: ModuleTable, chunk: Chunk) -> Sample | None:
-        """Return the sample that a message is; None for one that tells how, or who, the device is."""
+        """Return the sample that a message is; None for one about the device itself."""
         if not isinstance(message, Inertial | Magnetic):
             self._note(message, modules)
             return None

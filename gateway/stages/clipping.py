@@ -1,4 +1,4 @@
-"""Sensors at the end of a range that they do not tell: values that stay where they are largest.
+"""Sensors at the end of a range that they do not report: values that stay where they are largest.
 
 An axis that is clipped comes to the end of its range by large steps and then stays there while the others go
 on changing: exactly, or by the few percent of what the others change by that the makers' correction of skewed

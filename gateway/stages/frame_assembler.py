@@ -44,7 +44,7 @@ class Lost(Enum):
 
 
 _COUNTED = (Lost.LATE, Lost.DUPLICATE, Lost.UNKNOWN_MODULE, Lost.SKIPPED_INSTANT)
-"""What the kernel counts, each in the field of ``GRID`` that bears its name."""
+"""What the kernel counts, each in the field of ``GRID`` of its name."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class FrameAssembler:
             self._grid["passed_begin"] = 0
 
     def _tell_lost(self) -> None:
-        """Add to the counters what the kernel has counted since they were last told."""
+        """Add to the counters what the kernel has counted since the last time."""
         for reason in _COUNTED:
             count = int(self._grid[reason.name.lower()][0])
             if count:

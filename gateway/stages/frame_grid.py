@@ -42,7 +42,7 @@ GRID = np.dtype(
         ("last_instant_ns", np.int64),  # of the last frame
         ("passed_begin", np.int64),  # of the queue ``passed``: its first entry
         ("n_passed", np.int64),  # and how many there are
-        ("late", np.int64),  # what was lost since this was last told
+        ("late", np.int64),  # what was lost since this was last read
         ("duplicate", np.int64),
         ("unknown_module", np.int64),
         ("skipped_instant", np.int64),
@@ -58,7 +58,7 @@ MODULE = np.dtype(
         ("id", np.int64),
         ("newest_ns", np.int64),  # -1: never heard
         ("head", np.int64),  # place of the newest sample in its ring
-        ("late", np.int64),  # samples lost as such since this was last told
+        ("late", np.int64),  # samples lost as such since this was last read
         ("is_awaited", np.bool_),  # the next instant waits for it
     ],
     align=True,

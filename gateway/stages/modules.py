@@ -79,7 +79,7 @@ class ModuleStage:
         self.reconstructor = self.make(suit)
         self.sun = None if suit.sun is None else SunCompass(suit)
         self.on_frame: Callable[[ImuFrame], None] | None = None
-        """Told every frame before it is reconstructed: for calibrations."""
+        """Called with every frame before it is reconstructed: for calibrations."""
         self.solve_every = 1
         """Of the frames, which are reconstructed: fewer while the machine cannot keep up."""
         self.left_out = 0

@@ -44,7 +44,7 @@ def is_loopback(host: str) -> bool:
 
 
 class AccessToken:
-    """What somebody must show to be let in. Neither printed nor compared in a time that tells about it."""
+    """What somebody must show to be let in. Neither printed nor compared in a time that depends on it."""
 
     def __init__(self, text: str) -> None:
         """Keep a token.

@@ -153,7 +153,7 @@ class BodySteps(StepTab):
         self._offer()
 
     def _next_of(self, status: Mapping[str, Any]) -> str:
-        """Choose the first step that is not done yet; tell those that are."""
+        """Choose the first step that is not done yet; return those that are."""
         done = status.get("done", ())
         left = [step for step in self._steps if step not in done]
         if left:

@@ -114,7 +114,7 @@ class CheckTab(StepTab):
         return self._say("check_cleared")
 
     async def _do(self, movement: Movement) -> None:
-        """Tell what to do, count down, watch, and show how it went."""
+        """Show what to do, count down, watch, and show how it went."""
         if self._is_busy:
             raise GatewayError(self._say("check_busy"))
         check = MovementCheck(movement, tuple(self._worn()))

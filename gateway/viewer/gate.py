@@ -1,6 +1,6 @@
 """What stands before the page: who may come in, and from where.
 
-The page's own server asks for nothing. It listens on loopback at a port that nobody is told, and this gate
+The page's own server asks for nothing. It listens on loopback at a port that is not published, and this gate
 passes on what may pass:
 
 * With a token: ``http://HOST:PORT/?token=TOKEN`` once, or ``Authorization: Bearer TOKEN``. The answer sets a
@@ -37,7 +37,7 @@ MOST_CLIENTS = 64
 MOST_OF_ONE_ADDRESS = 48
 """Of those, with a request that is being answered."""
 FIRST_REQUEST_S = 3.0
-"""For a request to be told."""
+"""For a request to arrive."""
 _LAST_WORDS_S = 1.0
 _BLOCK = 64 * 1024
 _NOT_FRAMED = "Content-Security-Policy: frame-ancestors 'none'", "X-Frame-Options: DENY"
@@ -150,7 +150,7 @@ class Door:
         """
         is_open = not self._keys and is_loopback(request.host_name)
         right = Right.WRITE if is_open else self._identify(request)
-        # A browser sends cookies with requests of any site: only the origin tells which site opened the
+        # A browser sends cookies with requests of any site: only the origin says which site opened the
         # socket.
         origin = request.headers.get("origin", request.host).lower()
         if request.is_websocket and origin.rpartition("/")[2] != request.host:

@@ -48,9 +48,9 @@ from gateway.viewer.trail import Trail
 
 RETRY_S = 0.5
 RECORDED_AFTER_S = 10.0
-"""Older poses are told by their instant: they come from a recording."""
+"""Older poses are recognised by their instant: they come from a recording."""
 MOST_UNDRAWN = 256
-"""Poses between two pictures that muscles are told of."""
+"""Poses between two pictures that the muscles take."""
 RESETS = ("heading", "full", "mounting", "position")
 REMOUNTING = ("full", "mounting")
 """Resets that put right how modules sit."""

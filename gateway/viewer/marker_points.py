@@ -27,7 +27,7 @@ FAR: Colour = (255, 60, 40)
 NAMELESS: Colour = (150, 150, 160)
 LEFT_OUT: Colour = (200, 80, 255)
 WORST = 3
-"""So many markers are told by name."""
+"""So many markers are named."""
 POINT_M = 0.022
 _POINTS, _LINES = "/markers/points", "/markers/residuals"
 
@@ -87,7 +87,7 @@ def instant_of(
 
 
 class RecordedMarkers:
-    """The markers of a recording that tells what became of them."""
+    """The markers of a recording that says what became of them."""
 
     def __init__(self, markers: MarkerArrays) -> None:
         self._markers = markers
@@ -99,7 +99,7 @@ class RecordedMarkers:
 
 
 class ReceivedMarkers:
-    """The markers of a recording that tells only what came over its links: names are not put right, and all
+    """The markers of a recording that has only what came over its links: names are not put right, and all
     count as used."""
 
     def __init__(self, markers: BodyMarkers, frames: Iterable[MarkerFrame], arrays: SkeletonArrays) -> None:

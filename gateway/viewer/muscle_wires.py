@@ -25,11 +25,11 @@ EVERY_S = 0.1
 ENOUGH_S = SPAN_S + 0.1
 """Of poses, for a drawing after a jump."""
 _BODIES = ("human_17", "human_23")
-"""Whose joints a published body has, which is told without them."""
+"""Whose joints a published body has, which is published without them."""
 _STOPS = np.array([[165, 185, 205], [245, 190, 60], [215, 40, 40]], dtype=np.float64)
 """Colours of activity 0, 0.5 and 1, as they are to look."""
 _GAMMA = 2.2
-"""The page takes a line's colours as amounts of light: as they are told they would be washed out."""
+"""The page takes a line's colours as amounts of light: taken as they are they would be washed out."""
 
 
 class MuscleWires:

@@ -117,7 +117,7 @@ class Panel:
         return say(self.language, key, **values)
 
     def on_language(self, listener: Callable[[str], None]) -> None:
-        """Have somebody told of a language that is chosen, in a thread of the page's server."""
+        """Call a listener with each language that is chosen, in a thread of the page's server."""
         self._listeners.append(listener)
 
     def speak(self, language: str) -> None:

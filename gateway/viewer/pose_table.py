@@ -20,7 +20,7 @@ _WINDOW_NS = 2_000_000_000
 """Rate and latency are those of the last so many nanoseconds."""
 
 _LEAST_SPAN_NS = 250_000_000
-"""No rate is told of fewer: the first poses may come in a burst."""
+"""No rate is shown of fewer: the first poses may come in a burst."""
 
 _STATUS_COLOURS = {
     "measured": "green",

@@ -21,7 +21,7 @@ class Posture:
     p_w: FloatArray  # (s, 3) m
     place: FloatArray  # (3,) m, of the root's joint
     is_placed: bool
-    """Whether the pose told where the body is; else it stands on the floor, always above the same point."""
+    """Whether the pose says where the body is; else it stands on the floor, always above the same point."""
     status: tuple[str, ...]
     """As it is shown: see ``LastingStatus``."""
     sigma_rad: tuple[float | None, ...]

@@ -233,7 +233,7 @@ class Figure:
         self._shades.remove()
 
     def on_click(self, clicked: Callable[[int], None]) -> None:
-        """Tell the segment of a limb that is clicked."""
+        """Call a listener with the segment of a limb that is clicked."""
 
         def of_limb(event: viser.SceneNodePointerEvent[Any]) -> None:
             if event.instance_index is not None:

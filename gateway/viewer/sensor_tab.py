@@ -72,7 +72,7 @@ class SensorTab(StepTab):
 
     # Two watches would write over each other's advice.
     async def _watch(self) -> str:
-        """Tell what to do until it is enough, or somebody ends it."""
+        """Show what to do until it is enough, or the user ends it."""
         if self._is_watched:
             return self._say("check_busy")
         self._is_watched = True

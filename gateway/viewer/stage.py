@@ -100,7 +100,7 @@ class Stage:
         self._looks.pop(client.client_id, None)
 
     def _fit(self, client: viser.ClientHandle) -> None:
-        """Look anew where the page has become narrow or wide: a slow one tells its size late, a phone is
+        """Look anew where the page has become narrow or wide: a slow one reports its size late, a phone is
         turned."""
         view, was_narrow = self._looks.get(client.client_id, (FIRST_VIEW, False))
         if (client.camera.aspect < NARROW) != was_narrow:

@@ -26,7 +26,7 @@ def _figures() -> dict[str, list[Figure]]:
 def step_picture(step: str, told: str) -> str:
     """Return a step from the front and from the right, as HTML; empty where there is no picture of it.
 
-    told: what it shows, for screen readers.
+    told: a description of the picture, for screen readers.
     """
     figures = _figures().get(step)
     if figures is None:

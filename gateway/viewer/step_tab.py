@@ -68,7 +68,7 @@ class Errands:
         self._work: set[concurrent.futures.Future[None]] = set()
 
     def start(self, action: Action, tell: Callable[[str], object]) -> None:
-        """Do it, and tell what became of it, or what is wrong."""
+        """Do it, and show what became of it, or what is wrong."""
 
         async def work() -> None:
             try:
@@ -103,7 +103,7 @@ class StepTab(ABC):
         self._language = ENGLISH
         self._handles: list[Any] = []
         self._places: list[Any] = []
-        """Below each button: where it is told what became of it."""
+        """Below each button: where its outcome is shown."""
         self._place: Any = None
         """Of the button that was pressed last."""
 
@@ -158,7 +158,7 @@ class StepTab(ABC):
         return button
 
     def _tell(self, said: str) -> None:
-        """Tell it below the button of the action under way, unless another button was pressed since."""
+        """Show it below the button of the action under way, unless another button was pressed since."""
         if (place := _PLACE.get()) is self._place:
             place.content = line(said)
             place.visible = True

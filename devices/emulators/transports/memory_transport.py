@@ -1,4 +1,4 @@
-"""Keeps what was sent and says what it is told to, for tests and benchmarks."""
+"""Keeps what was sent and receives what it is given, for tests and benchmarks."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class PtyTransport:
         os.set_blocking(self._master, False)
         tty.setraw(slave)
         self._slave_path = self.path = os.ttyname(slave)
-        os.close(slave)  # only then can the master tell whether a reader is there
+        os.close(slave)  # only then can the master see whether a reader is there
         self._poll.register(self._master, select.POLLIN)
         if self._link_path is not None:
             if self._link_path.is_symlink():

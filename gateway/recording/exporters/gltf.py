@@ -118,7 +118,7 @@ class _Document:
     ) -> int:
         """Append an array (n, width) to the buffer; the index of what describes it."""
         library = self._library
-        # glTF wants every array to begin at a multiple of four bytes.
+        # glTF requires that every array begins at a multiple of four bytes.
         while len(self._blob) % 4:
             self._blob.append(0)
         data = np.ascontiguousarray(values).tobytes()
@@ -126,7 +126,7 @@ class _Document:
         self._blob += data
         self._gltf.bufferViews.append(view)
         bounds = {}
-        # glTF wants the bounds of positions and of times.
+        # glTF requires the bounds of positions and of times.
         if has_bounds:
             rows = values.reshape(len(values), -1)
             bounds = {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}

@@ -53,7 +53,7 @@ class Turns(NamedTuple):
 def model_turns(skeleton: Skeleton) -> list[Turns]:
     """Return the turns of every segment, the root in the ground first.
 
-    A coordinate that Rajagopal's model has too bears its name; a joint without Cardan angles of its own turns
+    A coordinate that Rajagopal's model has too is called as there; a joint without Cardan angles turns
     about z, x, y.
     """
     described = {joint.distal: joint for joint in skeleton.joints if _is_cardan(joint, skeleton)}

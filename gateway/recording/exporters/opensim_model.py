@@ -19,7 +19,7 @@ from gateway.recording.exporters.opensim_angles import Turns, model_turns, pelvi
 from gateway.recording.exporters.take import Take
 
 USUAL_KG = 75.0
-"""Of a person whose mass nobody tells."""
+"""Of a person whose mass is not known."""
 _GRAVITY = "0 -9.80665 0"
 _JOINT_RADIUS_M = 0.015
 """Of the ball that shows a joint."""

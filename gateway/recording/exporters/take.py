@@ -42,7 +42,7 @@ class Take:
     recording: Recording | None = None
     """What it was made of, for formats that hold more than poses."""
     mass_kg: float | None = None
-    """Of the person, where it is told."""
+    """Of the person, where it is known."""
 
     @property
     def time_s(self) -> FloatArray:

@@ -17,7 +17,7 @@ from gateway.sources.gnss.sentences import Fix, GnssDecoder
 from gateway.sources.source import ListeningSource, SourceContext
 
 DATING_WINDOW_NS = 60_000_000_000
-"""The least delay of that time tells how the receiver's time stands to the gateway's."""
+"""The least delay of that time gives the receiver's time against the gateway's."""
 SILENT_NS = 3_000_000_000
 
 

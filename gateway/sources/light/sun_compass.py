@@ -1,7 +1,7 @@
 """Light readings to directions of the sun by frame; cloud, shadow and reflections turned away. Sans-I/O.
 
 A direction serves until a newer one comes, turned along by the module's gyroscopes, for ``CARRIED_S`` at
-most; for longer it is remembered to tell what jumps.
+most; for longer it is remembered to recognise what jumps.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ LARGEST_RESIDUAL = 0.12
 """Of the direct light. Sky and ground that differ leave 0.05."""
 LARGEST_JUMP = math.radians(10.0)
 JUMP_MEMORY_S = 10.0
-"""For so long the gyroscopes tell where the sun must be; a direction that then still stands is believed."""
+"""For so long the gyroscopes predict where the sun must be; a direction that lasts longer is believed."""
 LARGEST_MISPLACEMENT = math.radians(15.0)
-"""Height above the horizon, where the module's specific force tells it."""
+"""Height above the horizon, where the module's specific force gives it."""
 STILL = 0.5
 """m/s² from g: then the specific force points up."""
 LOWEST, HIGHEST = math.radians(5.0), math.radians(75.0)
@@ -50,7 +50,7 @@ READING_NOISE = 0.004
 
 
 class Rejected(Enum):
-    """Why a light reading told no heading."""
+    """Why a light reading gave no heading."""
 
     SUN_LOW = "the sun is below 5° or set"
     SUN_HIGH = "the sun is above 75°: no heading in it"
@@ -128,7 +128,7 @@ class SunCompass:
         }
 
     def totals(self) -> Counter[str]:
-        """Return readings of all modules by what they told: ``sun``, or why nothing."""
+        """Return readings of all modules by what they gave: ``sun``, or why nothing."""
         return sum((module.counts for module in self._modules), Counter[str]())
 
     def _state(self, module: _Module) -> str:
