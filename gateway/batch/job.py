@@ -95,6 +95,7 @@ def perform(job: Job) -> Outcome:
         outputs = {}
         for path in sorted(partial.iterdir()):
             outputs[path.name] = path.stat().st_size
+            # Moved only when all are whole, so that no half file is ever left.
             os.replace(path, job.folder / path.name)
         return Outcome(job.name, outputs, time.perf_counter() - begun, note=note)
     except (GatewayError, LinkError, OSError, ValueError, MemoryError) as error:

@@ -39,6 +39,7 @@ def jobs_in(folder: Path, results: Path, task: Task) -> list[Job]:
     jobs = []
     for path in sorted(folder.rglob(f"*{fmt.SUFFIX}")):
         part = _LATER_PART.match(path.stem)
+        # Without its first part a later one is a recording by itself.
         if part and path.with_name(part[1] + path.suffix).exists():
             continue
         if path.is_file() and fmt.is_recording(path) and away not in path.resolve().parents:
@@ -87,6 +88,7 @@ def _performed(
     executor: AbstractContextManager[Executor], jobs: Sequence[Job]
 ) -> Generator[tuple[Job, Outcome | None], None, None]:
     """Yield jobs as they end; None in place of an outcome where the process that had it died."""
+    # Processes that were there before belong to somebody else, and are not ended here.
     others = multiprocessing.active_children()
     with executor as pool:
         try:

@@ -124,6 +124,7 @@ def lengths_of(skeleton: Skeleton) -> dict[str, float]:
     found: dict[str, float] = {}
     for name, length in own.items():
         both = _without_side(name)
+        # Limbs of different lengths keep their own names, or one length would be lost.
         is_pair = name != both and len({own.get(f"{side}{both}") for side in SIDES}) == 1
         found[both if is_pair else name] = length
     for name, pair in WIDTHS.items():

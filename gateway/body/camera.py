@@ -38,6 +38,7 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
     seen = points @ camera.rotation.T + camera.translation
     depth = np.where(seen[..., 2] > 0.0, seen[..., 2], np.nan)
     x, y = seen[..., 0] / depth, seen[..., 1] / depth
+    # OpenCV's model and order: radial k, tangential p.
     k1, k2, p1, p2, k3 = camera.distortion
     square = x * x + y * y
     radial = 1.0 + square * (k1 + square * (k2 + square * k3))

@@ -63,6 +63,7 @@ def checked(camera: Camera, where: str) -> Camera:
             f"{where}: camera '{camera.name}' has pictures of {camera.width}×{camera.height} pixels"
         )
     off = np.abs(camera.rotation @ camera.rotation.T - np.eye(3)).max()
+    # A determinant below zero is a reflection.
     if off > _NOT_ORTHOGONAL or np.linalg.det(camera.rotation) < 0:
         raise SettingsError(f"{where}: the rotation of camera '{camera.name}' is none (off by {off:.2g})")
     return camera

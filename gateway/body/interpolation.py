@@ -40,8 +40,10 @@ def following_rules(suit: WornSuit) -> Records[FollowingRule]:
     for s in np.flatnonzero(suit.module_of_segment < 0):
         rule, parent = by_segment.get(int(s)), int(suit.skeleton.parents[s])
         ends = (rule.first, rule.second) if rule else ()
+        # A rule needs modules on both of its ends.
         if rule and all(suit.module_of_segment[end] >= 0 for end in ends):
             rows.append((int(s), rule.first, rule.second, rule.fraction, 1))
+        # Otherwise the segment turns with its parent.
         elif parent >= 0:
             rows.append((int(s), parent, parent, 0.0, 0))
     rules = records(FollowingRule, len(rows))

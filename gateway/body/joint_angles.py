@@ -99,6 +99,7 @@ def posture(skeleton: Skeleton, angles: Mapping[str, Sequence[float]], q_root: F
     q_wb = np.tile(q_root, (skeleton.n_segments, 1))
     for i, parent in enumerate(skeleton.parents.tolist()):
         joint, values = turned.get(i, (None, np.zeros(3)))
+        # Parents come first, so this one is known already.
         if parent >= 0:
             q_wb[i] = q_wb[parent]
         if joint is not None:

@@ -125,6 +125,7 @@ def _swing_twist(q: FloatArray, axes: IntArray, before: FloatArray) -> tuple[Flo
     along = q[1 + axes[2]]
     length = math.sqrt(q[0] * q[0] + along * along)
     twist = np.zeros(4)
+    # Swung by half a turn, every twist would do: zero is taken.
     twist[0], twist[1 + axes[2]] = (q[0] / length, along / length) if length > 0.0 else (1.0, 0.0)
     angle = 2.0 * math.atan2(along, q[0])
     swing = quaternion.to_rotation_vector(quaternion.multiply(q, quaternion.conjugate(twist)))
@@ -132,6 +133,7 @@ def _swing_twist(q: FloatArray, axes: IntArray, before: FloatArray) -> tuple[Flo
     if math.isfinite(before[2]):
         angle = nearest_turn(angle, before[2])
         if lock < GIMBAL_ZONE:
+            # Near the singularity noise would turn the twist about: it follows the less the nearer it is.
             angle = before[2] + (lock / GIMBAL_ZONE) ** 2 * (angle - before[2])
     else:
         angle = nearest_turn(angle, 0.0)

@@ -113,6 +113,7 @@ def _parts(
     """Turn, centre and half sizes of what a segment consists of."""
     tip = skeleton.tips[s]
     length = float(np.linalg.norm(tip))
+    # A segment without length has no direction in which a part could lie.
     if length < 0.01:
         return []
     if part == "pelvis":

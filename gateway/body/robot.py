@@ -147,6 +147,7 @@ def robot_of(tree: UrdfTree, file: RobotFile, skeleton: Skeleton, where: str) ->
         tree,
         joints,
         np.array([_limits(joint) for joint in joints]).reshape(-1, 2),
+        # A URDF may leave the rate out, or have one that is faster than wanted.
         np.array([min(most, joint.rate or most) for joint in joints]),
         np.radians([file.neutral_deg.get(name, 0.0) for name in known]),
         file,

@@ -108,6 +108,7 @@ def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: 
     suffix = FORMATS[name].suffix
     if output is None:
         path = file.with_suffix(suffix)
+    # A name without a suffix means a folder, which need not be there yet.
     elif output.is_dir() or is_folder or not output.suffix:
         output.mkdir(parents=True, exist_ok=True)
         path = output / f"{file.stem}{suffix}"

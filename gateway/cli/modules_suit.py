@@ -139,6 +139,7 @@ def run_with_suit(
     try:
         code = asyncio.run(run())
     except KeyboardInterrupt:
+        # 128 + SIGINT, as shells have it.
         code = 130
     raise typer.Exit(code)
 

@@ -103,6 +103,7 @@ class _Supervisor:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, self._stop)
+        # As daemons do: SIGHUP reads the configuration anew.
         loop.add_signal_handler(signal.SIGHUP, self._reload)
         watchdog = asyncio.create_task(feed_watchdog(lambda: self._service.can_flow), name="watchdog")
         compiling = asyncio.create_task(self._compile(), name="compiling")

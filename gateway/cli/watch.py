@@ -119,6 +119,7 @@ def _screen(poses: PoseSubscriber, views: dict[str, PoseView], wanted: Watch) ->
     from gateway.viewer.pose_table import PoseView
 
     for gateway in poses.states:
+        # A gateway that has published its state and no pose yet is shown, too.
         views.setdefault(gateway, PoseView(gateway))
     now_ns = gateway_time_ns()
     parts: list[RenderableType] = [

@@ -74,6 +74,7 @@ class Counter32(Row):
             self._is_running, self._newest_us = True, stamp_us
             return None
         newest_us = self._newest_us
+        # Of all counts with these lower 32 bits the one nearest to what is expected.
         ahead_us = (stamp_us - expected_us + _HALF_US) % _PERIOD_US - _HALF_US
         full_us = expected_us + ahead_us
         if full_us > newest_us and -LATE_US <= ahead_us <= EARLY_US and not self._is_late:

@@ -211,6 +211,7 @@ class EstimatedClock(Row):
         if self._round_trip.is_known:
             offset_us -= 0.5 * self._round_trip.offset_us(newest_us)
         correction_us = published_us - offset_us
+        # Too far off to fade in reasonable time: a step, which is counted.
         if abs(correction_us) > _STEP_US:
             self._steps += not is_first
             correction_us = 0.0
@@ -244,6 +245,7 @@ class EstimatedClock(Row):
         back, round_trip, bound_us = self._back, self._round_trip, None
         sigma_us = back.sigma_us if back.is_known else 0.0
         if round_trip.is_known:
+            # Half of the round trip is the delay of one way, so half of its uncertainty counts.
             sigma_us = float(np.hypot(sigma_us, 0.5 * round_trip.sigma_us))
             bound_us = 0.5 * round_trip.offset_us(newest_us) + _BOUND_SIGMAS * sigma_us
         published_ns = round(_published_us(self._line, newest_us) * 1e3)

@@ -100,6 +100,7 @@ def predict(
     """
     out_x, out_P = x.copy(), P.copy()
     out_x[0] += x[1] * dt
+    # The covariance of a random walk of the rate, integrated over dt.
     out_P[0, 0] += 2.0 * dt * P[0, 1] + dt * dt * P[1, 1] + offset_walk * dt + rate_walk * dt**3 / 3.0
     out_P[0, 1] += dt * P[1, 1] + 0.5 * rate_walk * dt * dt
     out_P[1, 0] = out_P[0, 1]

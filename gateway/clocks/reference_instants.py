@@ -113,6 +113,7 @@ class ReferenceInstants:
     def _take(self, instant: Datum) -> dict[int, Datum]:
         result = {self._reference: instant}
         for module, data in self._data.items():
+            # What is left begins with the last one before the instant, or at it.
             while len(data) > 1 and data[1].time_us <= instant.time_us:
                 data.popleft()
             if len(data) > 1 and data[0].time_us <= instant.time_us:

@@ -70,6 +70,7 @@ class SyncExchanges:
             self.unexpected += 1
             return None
         exchange = Exchange(sent_ns, received_us, replied_us, arrived_ns)
+        # The module says that it held the question for longer than the whole exchange took.
         if exchange.round_trip_us < 0:
             self.unexpected += 1
             return None

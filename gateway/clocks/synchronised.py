@@ -81,6 +81,7 @@ class SynchronisedClock:
         elif not group.is_in_step(module_time_us, arrived_ns):
             if self._out_since_ns is None:
                 self._out_since_ns = arrived_ns
+            # A few packets that were under way for long must not move the module out of its group.
             if arrived_ns - self._out_since_ns < _PATIENCE_NS:
                 return min(group.instant_ns(module_time_us), arrived_ns)
             self.restarts += 1

@@ -83,6 +83,7 @@ class ClockCalibration:
                 f"modules {', '.join(map(str, silent))} of the rig were not heard: "
                 "switch them on, or take them out of the rig file"
             )
+        # Only moments at which all were heard compare all clocks.
         whole = [(at, counts) for at, counts in self._reads if len(counts) == len(self._expected)]
         if len(whole) < 2:
             raise GatewayError("the modules were not heard together for long enough to measure their clocks")

@@ -81,6 +81,7 @@ class TriggerTimer:
         next_ns = self.next_ns
         if next_ns is None or now_ns < next_ns:
             return None
+        # Overdue triggers are skipped: a burst of them would sample nothing of use.
         behind = int((now_ns - next_ns) / self._interval_ns)
         self.figures.skipped += behind
         self._times += behind

@@ -123,6 +123,7 @@ def emulated(suit: WornSuit, case: Case, method: str = "joint", seed: int = 1) -
     """Return the run of one case through bytes, clocks and frames."""
     truth = move(dress(suit, LOCAL_SIGMA), suit.skeleton.name, seed)
     motion = truth
+    # The truth is of a body that wears its modules as the rig says; what is sent is of one that does not.
     if case.worn:
         motion = move(_worn(dress(suit, LOCAL_SIGMA), case.worn), suit.skeleton.name, seed)
     settings = SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field)

@@ -71,8 +71,10 @@ def module_traffic(
     elapsed_us: FloatArray = np.asarray(counter * (1e6 / rate_hz), dtype=np.float64)
     true_us = crystal.true_us(elapsed_us)
     arrived_us = true_us + latency_us + rng.exponential(JITTER_US, len(counter))
+    # A packet cannot overtake the one before it on the same line.
     arrived_us = np.maximum.accumulate(arrived_us)
     if slot_us:
+        # Handed over with the next slot, as by a USB frame or a radio's connection event.
         arrived_us = np.ceil(arrived_us / slot_us) * slot_us
     kept = rng.random(len(counter)) >= LOSS
     stamps = (np.round(elapsed_us).astype(np.int64) + crystal.start_us) % 2**32

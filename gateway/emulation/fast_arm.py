@@ -134,6 +134,7 @@ def sampled(
     body: EmulatedBody = dress(suit)
     arms = body.module_positions + switches.lever_arm_m * rng.standard_normal((n, 3))
     R_bs = np.tile(np.eye(3), (n, 1, 1))
+    # Modules sit where the drawn arms say; the method is given the nominal ones.
     values = sense(state, arms, R_bs, suit.gravity, suit.magnetic_field)
     if switches.is_field_disturbed:
         bent = _bent_field(state.joint_position, suit.magnetic_field)

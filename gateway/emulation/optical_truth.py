@@ -90,6 +90,7 @@ def placed_markers(
     for label in marker_set.labels:
         segment = body.index(marker_set.carriers[label])
         side = -1.0 if label.startswith("L") and label not in _NOMINAL else 1.0
+        # Places are listed for one side, and mirrored for the other.
         nominal = np.array(_NOMINAL.get(label) or _NOMINAL[label[1:]], dtype=np.float64)
         if label not in _NOMINAL:
             nominal = nominal * (1.0, 1.0, side)
@@ -125,6 +126,7 @@ def simulated(
 
 def _motion(body: Skeleton, seconds: float, generator: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     times = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    # Motion sets in gently after the neutral standing that a fit needs.
     ease = np.clip((times - _STANDING_S) / 0.5, 0.0, 1.0) ** 2
     waves = {}
     for joint in body.joints:
@@ -133,6 +135,7 @@ def _motion(body: Skeleton, seconds: float, generator: np.random.Generator) -> t
         angles = np.zeros((len(times), len(joint.angles)))
         for k, angle in enumerate(joint.angles):
             if angle.name in joint.free:
+                # Well within the limits, and no wider than people commonly move.
                 low, high = np.clip(angle.limits, -1.2, 1.2) * 0.7
                 wave = np.sin(2 * np.pi * generator.uniform(0.2, 0.6) * times + generator.uniform(0, 6.28))
                 angles[:, k] = ease * (0.5 * (low + high) + 0.5 * (high - low) * wave)
@@ -265,6 +268,7 @@ def _solved(fitted: Fit, test: SimulatedTrial) -> tuple[FloatArray, float]:
         (f, right, given)
         for f, a, b in test.swaps
         for right, given in ((a, b), (b, a))
+        # A swap of which one marker is in a gap cannot be found by its name.
         if np.isfinite(observed[f, labels.index(given), 0])
     }
     return np.array(q_wb), len(wrong & renamed) / len(wrong)

@@ -67,6 +67,7 @@ def drawn(seed: int) -> RandomChain:
     rng = np.random.default_rng([seed, 21])
     held_by = HELD_BY[seed % len(HELD_BY)]
     suit = _suit(rng, held_by)
+    # Evenly over the orders of magnitude, not over the values.
     peak_rate = float(np.exp(rng.uniform(np.log(2.0), np.log(20.0))))
     begins_at_rest = bool(rng.random() < 0.7)
     motion = generic_motion(
@@ -95,6 +96,7 @@ def drawn(seed: int) -> RandomChain:
 
 def _suit(rng: np.random.Generator, held_by: str) -> WornSuit:
     n = int(rng.integers(2, 10))
+    # Mostly one link after the other, at times a branch.
     parents = np.array([-1, *(i - 1 if rng.random() < 0.7 else int(rng.integers(0, i)) for i in range(1, n))])
     lengths = rng.uniform(0.1, 0.5, n)
     offsets, tips, lever_arms = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))

@@ -178,6 +178,7 @@ def measure_walk(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float 
     truth = motion.state(times[kept])
     place = np.array([frames[k].p_w[0] for k in kept])
     true_place = truth.joint_position[:, 0]
+    # Nothing measures where the body began: only its way counts.
     off = (place - place[0]) - (true_place - true_place[0])
     length, true_length = (
         float(np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1).sum()) for p in (place, true_place)

@@ -98,6 +98,7 @@ def ring_of_cameras(n: int, radius: float = 4.0) -> list[Camera]:
         ahead /= np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
+        # Rows of the rotation are the camera's axes: x right, y down, z ahead.
         R = np.stack([right, np.cross(ahead, right), ahead])
         distortion = np.array([-0.05, 0.12, 0.0006, 0.0007, 0.0])
         cameras.append(Camera(f"ring{c}", 1080, 1920, matrix, distortion, R, -R @ place))

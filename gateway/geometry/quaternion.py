@@ -156,6 +156,7 @@ def from_matrix_into(q_ab: FloatArray, R_ab: FloatArray) -> None:
         z = 1.0 + R[2, 2] - R[0, 0] - R[1, 1]
         w, x, y = R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1]
     length = math.sqrt(w * w + x * x + y * y + z * z)
+    # Of q and -q the one with w ≥ 0, as everywhere here.
     if w < 0.0:
         length = -length
     q_ab[0], q_ab[1], q_ab[2], q_ab[3] = w / length, x / length, y / length, z / length

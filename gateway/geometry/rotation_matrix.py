@@ -172,5 +172,6 @@ def _triad(primary: FloatArray, secondary: FloatArray) -> FloatArray:
         T[1, i] = across[i] / across_length if is_defined else np.nan
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
+        # The cross product of the first two rows, component by component.
         T[2, i] = T[0, j] * T[1, k] - T[0, k] * T[1, j]
     return T

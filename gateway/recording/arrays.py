@@ -71,7 +71,7 @@ class SkeletonArrays:
 
 
 def _exact(rate_hz: float) -> float:
-    """Return the shortest decimal number whose interval, in whole ns, is that of a rate."""
+    """Return the shortest decimal number whose interval is within 1 ns of that of a rate."""
     for decimals in range(9):
         rounded = round(rate_hz, decimals)
         if abs(rounded - rate_hz) <= 1e-9 * rate_hz * rate_hz:

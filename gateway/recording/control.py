@@ -124,6 +124,7 @@ class RecordingControl:
 
     async def record_while(self, is_cut_off: Callable[[], bool]) -> None:
         """Record, for ever, for as long as nobody takes poses; what was begun otherwise is left alone."""
+        # A recording that somebody began by hand is not ended here.
         is_ours, since = False, time.monotonic()
         while True:
             await asyncio.sleep(WATCH_INTERVAL_S)

@@ -71,6 +71,7 @@ def difference(first: SkeletonArrays, second: SkeletonArrays) -> Difference:
 def _together(first: SkeletonArrays, second: SkeletonArrays) -> tuple[IntArray, IntArray]:
     """Return rows of frames that belong together, each used once."""
     rates = [arrays.rate_hz for arrays in (first, second) if arrays.rate_hz]
+    # Frames farther apart than half an interval are of different instants.
     tolerance_ns = 0.5e9 / max(rates) if rates else 0.0
     order = np.argsort(second.time_ns, kind="stable")
     times = second.time_ns[order]
@@ -81,6 +82,7 @@ def _together(first: SkeletonArrays, second: SkeletonArrays) -> tuple[IntArray, 
     nearest = np.where(is_nearer, after, before)
     distance = np.abs(times[nearest] - first.time_ns)
     rows_a = np.flatnonzero(distance <= tolerance_ns)
+    # Of frames with the same neighbour, the first takes it.
     _, kept = np.unique(nearest[rows_a], return_index=True)
     rows_a = rows_a[np.sort(kept)]
     return rows_a, order[nearest[rows_a]]

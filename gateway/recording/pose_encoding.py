@@ -112,6 +112,7 @@ def decode_markers(data: bytes) -> RecordedMarkers:
     used = np.frombuffer(data, np.uint8, n, _MARKERS_HEAD.size + 2 * n)
     places = np.frombuffer(data, _PLACE, -1, _MARKERS_HEAD.size + 3 * n).astype(np.float64).reshape(-1, 3)
     positions, virtual, unlabelled = np.split(places, [n, 2 * n])
+    # A marker whose source is another label was renamed to its own.
     renamed = tuple((m, whose) for m, whose in enumerate(source.tolist()) if whose != m)
     residuals = np.linalg.norm(positions - virtual, axis=1)
     return RecordedMarkers(

@@ -224,6 +224,7 @@ class Recording:
                 f"{self.parts.path} has no skeleton frames: make some with "
                 f"`mocap-gateway replay {self.parts.path} --offline --output NEW.mcap`"
             )
+        # Imported files count time from their own beginning.
         if self.meta.imported_from:
             arrays = replace(arrays, origin_ns=self.meta.begun_ns)
         if not fits or self.meta.suit.markers is None:
@@ -279,6 +280,7 @@ def _take_out_unknown(plain: dict[str, Any]) -> str:
         unknown = [problem["loc"] for problem in error.errors() if problem["type"] == "extra_forbidden"]
     else:
         return ""
+    # Pydantic names the member of a union that it tried as a step of the path; the file has no such step.
     places = [(*(part for part in path if not is_union_tag(part)), key) for *path, key in unknown]
     for *path, key in places:
         holder: Any = plain

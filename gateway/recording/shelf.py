@@ -158,6 +158,7 @@ def outline_of(recording: Recording) -> list[list[float]]:
     skeleton = recording.meta.skeleton
     root = int(np.flatnonzero(skeleton.parents < 0)[0])
     right = quaternion.rotate(frame.q_wb[root], np.array([0.0, 0.0, 1.0]))
+    # Level, however the root leans; a root on its side has no horizontal right, hence the bound.
     across = np.array([-right[0], -right[1], 0.0]) / max(float(np.hypot(right[0], right[1])), 1e-6)
     known = np.isfinite(frame.q_wb).all(axis=1) & np.isfinite(frame.p_w).all(axis=1)
     lines = []
@@ -193,6 +194,7 @@ def _piece(path: Path, offset: int, length: int) -> tuple[bytes, int]:
 
 async def _said_by(arguments: list[str]) -> str:
     """Return what a command prints. Raises ``RecordingError`` with its error."""
+    # In a process of its own and at low priority: exports must not delay poses.
     command = ["nice", "-n", "10", sys.executable, "-m", "gateway", *arguments]
     process = await asyncio.create_subprocess_exec(
         *command, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE

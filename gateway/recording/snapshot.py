@@ -164,6 +164,7 @@ def _value(hint: Any, plain: Any) -> Any:
         options = [option for option in inner if option is not type(None)]
         return None if plain is None else _value(options[0], plain)
     if origin in {tuple, list}:
+        # tuple[X, ...] has one type for all items, tuple[X, Y] one for each.
         hints = inner if len(inner) == len(plain) and ... not in inner else (inner[0],) * len(plain)
         return origin(_value(each, item) for each, item in zip(hints, plain, strict=True))
     if origin in {dict, Mapping}:

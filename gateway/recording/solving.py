@@ -93,6 +93,7 @@ def solve(
         yield from pipeline.replay(recording.inputs(progress))
         return
     with SmoothedPoses(pipeline) as smoothing:
+        # Smoothing goes forward and backward: half of the work each.
         for item in recording.inputs(_half(progress, 0)):
             smoothing.take(item)
         yield from smoothing.poses(_half(progress, 1))
@@ -278,6 +279,7 @@ def _difference(index: int, recorded: bytes, made: bytes | None) -> str:
     if made is None:
         return f"frame {index}: recorded, but not made again from the bytes"
     was, now = decode_skeleton_frame(recorded), decode_skeleton_frame(made)
+    # Differences here explain those of orientations, so they come first.
     for name in ("sequence", "time_ns", "root", "status"):
         if not np.array_equal(getattr(was, name), getattr(now, name)):
             return f"frame {index}: {name} was {getattr(was, name)}, is {getattr(now, name)}"

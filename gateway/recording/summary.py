@@ -129,6 +129,7 @@ def _by_index(file: RecordingFile, figures: _Figures) -> bool:
     try:
         with file.path.open("rb") as stream:
             summary = SeekingReader(stream, record_size_limit=LARGEST_RECORD).get_summary()
+            # A recording that was not closed has no summary at its end.
             if summary is None or summary.statistics is None:
                 return False
             for number, count in summary.statistics.channel_message_counts.items():

@@ -170,6 +170,7 @@ def write_offline_video(
     assert suit.video is not None
     assert suit.markers is not None
     keypoints = load_keypoint_set(keypoint_set_of(suit.video.network))
+    # The network's keypoints on the body that was fitted to this person.
     keypoints = replace(keypoints, skeleton=suit.skeleton, markers=suit.markers)
     done = itertools.count(1)
 

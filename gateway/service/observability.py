@@ -88,7 +88,7 @@ class Observer:
 
     @contextlib.asynccontextmanager
     async def watching(self) -> AsyncIterator[None]:
-        """Look and publish until left; then all modules are offline. Raises ``OutputError`` for a busy port."""
+        """Look and publish until left, then report all offline. Raises ``OutputError`` for a busy port."""
         self.look()
         async with self.metrics or contextlib.nullcontext():
             looking = asyncio.create_task(self._look_for_ever(), name="observer")

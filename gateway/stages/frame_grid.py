@@ -253,6 +253,7 @@ def _advance(grid: Any, modules: NDArray[np.void], passed: NDArray[np.void], cou
     live_since, n_awaited = grid.newest_ns - grid.hold_ns, 0
     for row in range(len(modules)):
         module = modules[row]
+        # Modules that have been silent for the hold time are not waited for.
         module.is_awaited = live_since <= module.newest_ns < grid.instant_ns
         n_awaited += module.is_awaited
     grid.n_awaited = n_awaited
@@ -292,6 +293,7 @@ def _bracket(ring: NDArray[np.void], head: int, sensor: int, instant_ns: int) ->
         slot = (head - back) % DEPTH
         if ring[slot].time_ns == NEVER:
             break
+        # Sensors of a module may have different rates: this sample has none of this sensor.
         if np.isnan(ring[slot].measured[sensor, 0]):
             continue
         if ring[slot].time_ns <= instant_ns:

@@ -67,6 +67,7 @@ class FusedAssembler:
             self.late[module] += 1
             return []
         self.taken += 1
+        # The reference's instants are the frames': without it another module takes its place.
         if newest is not None and self._is_reference_silent(newest.time_us):
             self.reference = module
             self._gather = self._begin()

@@ -28,6 +28,7 @@ def read_secret(file: Path | None, variable: str, setting: str) -> str | None:
         return os.environ.get(variable)
     try:
         with file.open(encoding="utf-8") as opened:
+            # Bounded, as the name may be of a device that never ends.
             lines = opened.read(_LARGEST_FILE).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"

@@ -41,6 +41,8 @@ class Crowd(Generic[_Visitor]):
             if len(self) >= self._most:
                 if not self._silent:
                     raise CrowdedError
+                # The address with most silent connections gives one up, so that one client cannot take all
+                # places.
                 held = Counter(self._silent.values())
                 displaced = max(self._silent, key=lambda silent: held[self._silent[silent]])
                 del self._silent[displaced]

@@ -39,6 +39,7 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
     """
     candidates = [Path(name)]
     if beside is not None:
+        # What lies beside the file that names it comes before the working directory.
         candidates.insert(0, beside.parent / name)
     candidates.append(shipped_folder() / kind / f"{name}.yaml")
     for path in candidates:
@@ -87,6 +88,7 @@ def load_settings(path: Path, model: type[Model]) -> Model:
         return model.model_validate(content)
     except ValidationError as error:
         problems = error.errors()
+        # One mistake, as a wrong indent, may give hundreds of problems.
         lines = [f"{path}: {_explain(problem, model)}" for problem in problems[:_MOST_PROBLEMS]]
         if len(problems) > _MOST_PROBLEMS:
             lines.append(f"{path}: and {len(problems) - _MOST_PROBLEMS} more like these")

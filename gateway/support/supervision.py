@@ -23,6 +23,7 @@ async def kept_running(name: str, run: Callable[[], Awaitable[None]]) -> None:
     while True:
         try:
             await run()
+        # Whatever it is: the gateway lives for days, and one part must not end the others.
         except Exception:
             pause_s = back_off.next_delay()
             log.exception("%s failed; it is started again in %g s", name, pause_s)

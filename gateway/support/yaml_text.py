@@ -51,6 +51,7 @@ def replaced(text: str, place: Sequence[str | int], value: str) -> str:
             raise KeyError(step)
     if not isinstance(node, ScalarNode):
         raise KeyError(place[-1])
+    # JSON's text in quotes is YAML as well, whatever characters it has.
     return text[: node.start_mark.index] + json.dumps(value) + text[node.end_mark.index :]
 
 

@@ -29,6 +29,7 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
             angles = file.channel(ANGLES, schema, "json")
         scene_due_ns = take.begun_ns
         for time_ns, q_wb, p_w in poses_of(take):
+            # The scene does not change, but a player that begins in the middle needs it soon.
             if time_ns >= scene_due_ns:
                 file.add(scene, time_ns, encoder.scene(time_ns).encode())
                 scene_due_ns = time_ns + _SCENE_EVERY_NS

@@ -62,7 +62,6 @@ def model_turns(skeleton: Skeleton) -> list[Turns]:
         joint = described.get(s)
         if joint is not None:
             turns.append(_described(s, joint))
-
             continue
         named = _ROOT_TURNS if skeleton.parents[s] < 0 else ("about_z", "about_x", "about_y")
         first, second, third = (f"{name}_{each}" for each in named)
@@ -104,6 +103,7 @@ def pelvis_origin(skeleton: Skeleton) -> FloatArray:
         return np.zeros(3)
     hips = skeleton.offsets[[names.index(each) for each in thighs]]
     ends = skeleton.tips[[names.index(each) for each in (*thighs, *shanks)]]
+    # Half of the sum, as both legs are in it.
     size = 0.5 * float(np.linalg.norm(ends, axis=1).sum()) / LEG_M
     origin: FloatArray = hips.mean(axis=0) - size * np.array([HIP_IN_PELVIS[0], HIP_IN_PELVIS[1], 0.0])
     return origin

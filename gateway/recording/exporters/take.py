@@ -80,6 +80,7 @@ def markers_of(take: Take) -> TakenMarkers | None:
     if found is None:
         return None
     n_frames, n = len(take.q_wb), len(found.labels)
+    # A take is regular in time: each recorded frame goes to the row nearest to its instant.
     row = np.round((take.recorded.time_ns - take.begun_ns) * 1e-9 * take.rate_hz).astype(np.int64)
     positions, residuals = np.full((n_frames, n, 3), np.nan), np.full((n_frames, n), np.nan)
     used = np.zeros((n_frames, n), dtype=bool)

@@ -25,6 +25,7 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
         places.append(markers.positions)
     points = np.concatenate(places, axis=1) * units_per_m
     frames, rate = len(points), f"{take.rate_hz:.9f}".rstrip("0").rstrip(".")
+    # TRC counts frames from one.
     first = 1 + round(take.begins_s * take.rate_hz)
     unit = _UNITS.get(units_per_m, f"{units_per_m:g}/m")
     head = [
