@@ -88,6 +88,7 @@ class CanLink:
     async def close(self) -> None:
         """End the reader, then the bus; does nothing on a closed link."""
         bus, reader = self._bus, self._reader
+        # Before anything is awaited: a second close, or a write meanwhile, finds nothing.
         self._bus = self._reader = None
         self._arrivals.end()
         try:

@@ -228,6 +228,7 @@ class _Buffered:
         length = len(remaining)
         try:
             while remaining:
+                # One call may write only a part.
                 remaining = remaining[os.write(self._descriptor, remaining) :]
         except OSError:
             # A record of which a part was written would spoil all that follow.

@@ -113,6 +113,7 @@ class SerialLink:
             await self._writable
         finally:
             self._writable = None
+            # Once closed, the number may be another file's.
             if self._descriptor == descriptor:
                 loop.remove_writer(descriptor)
 

@@ -199,6 +199,7 @@ def open_can_socket(channel: str, fd: bool) -> socket.socket:
         raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
     try:
+        # The kernel passes on the controller's errors only to those who ask for them.
         bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, WANTED_ERRORS)
         if fd:
             bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)

@@ -124,6 +124,7 @@ class _Connection(asyncio.Protocol):
         await self._may_write.wait()
         if self._transport is None or self._arrivals.has_ended:
             raise self._arrivals.error or LinkError(f"{self._place} closed the connection")
+        # The wait afterwards slows the caller down while the other end does not read.
         self._transport.write(data)
         await self._may_write.wait()
 

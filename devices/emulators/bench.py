@@ -22,6 +22,7 @@ def bench_motion(n: int, seed: int) -> BodyMotion:
     """Return modules ``module_1`` to ``module_n`` that lie still, in rows, facing up or down, at random."""
     rng = np.random.default_rng([seed, 7])
     headings = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi, (n, 1)))
+    # Some modules lie on their backs.
     flips = Rotation.from_euler("x", np.pi * rng.integers(2, size=(n, 1)))
     places = np.array([[k % _PER_ROW, k // _PER_ROW, 0.0] for k in range(n)]) * _SPACING_M
     numbers = range(1, n + 1)

@@ -135,6 +135,7 @@ class CommandResponder:
         arguments = decode_arguments(command.verb, command.arguments)
         if arguments is None:
             return Outcome(Result.BAD_ARGUMENTS)
+        # Arguments are looked at first: a locked device still says that they are wrong.
         if declared.changes_device and self._device.is_locked:
             return Outcome(Result.REFUSED)
         return _ACTIONS[declared.verb](self, *arguments)

@@ -270,6 +270,7 @@ class EmulatedDevice:
         if not self.is_on:
             return
         if isinstance(packet, Command):
+            # A unique id decides alone: two devices may share the module id.
             is_meant = is_addressed if packet.unique_id == ANYONE else packet.unique_id == self.unique_id
             if is_meant:
                 self._obey(packet, is_for_all and packet.unique_id == ANYONE)

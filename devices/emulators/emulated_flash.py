@@ -73,6 +73,7 @@ class EmulatedFlash:
         self._cells[address : address + whole] &= np.frombuffer(data[:whole], np.uint8)
         self.steps += whole
         if whole < len(data):
+            # Power fails amid a byte: some of its bits were cleared, others not.
             spared = np.uint8(self._rng.integers(256))
             self._cells[address + whole] &= np.uint8(data[whole]) | spared
             self._lose_power()

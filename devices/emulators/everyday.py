@@ -232,6 +232,7 @@ def _swing(leg: Leg, steps: Steps, k: int, stride: Stride, phase: FloatArray) ->
     for axis, sizes in ((1, stride.lift), (0, stride.advance)):
         for kind, amount in zip((-1, 0, 1), sizes, strict=True):
             raised[:, axis] += amount * bump(part, kind)
+    # Short steps lift the foot less than in proportion would, but never drag it.
     lift = size if size > 0.3 else max(size, 0.3 * min(1.0, size / 0.02))
     heading = np.full(len(phase), 0.5 * (steps.heading[k] + steps.heading[after]))
     return ankle + _ahead(heading, raised * [size, lift])

@@ -64,6 +64,7 @@ class FaultWindows(Generic[AnyOf]):
                 changes.append((fault.at + fault.lasts + self._after_s + _ROUNDING_S, place))
         begun: set[int] = set()
         for edge_s, place in sorted(changes):
+            # A fault has two edges: at the first it comes in, at the second it goes out.
             begun ^= {place}
             self._edges.append(edge_s)
             self._near.append(tuple(sorted(begun)))

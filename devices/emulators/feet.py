@@ -51,6 +51,7 @@ def foot_path(foot: Foot, times: FloatArray) -> tuple[FloatArray, FloatArray, Fl
         now = np.maximum(stance, -1) == k
         phase = (times[now] - foot.strike_s(k)) / stride_s
         if k < 0:
+            # Before its first strike a foot stands flat.
             phase = np.maximum(phase, foot.gait.flat_from)
         ankle[now], heading[now], pitch[now] = _stride(foot, k, phase)
     return ankle, heading, pitch
@@ -91,6 +92,7 @@ def _stride(foot: Foot, stance: int, phase: FloatArray) -> tuple[FloatArray, Flo
 
 def _pitch(gait: Gait) -> BPoly:
     """Return the pitch over the phase, rad."""
+    # Slopes somewhat steeper than a straight line, so that the curves end level.
     down = -1.5 * gait.strike_pitch / gait.flat_from
     push = -1.2 * gait.push_pitch / (gait.toe_off - gait.flat_to)
     knots = [0.0, gait.flat_from, gait.flat_to, gait.toe_off, 1.0]

@@ -228,6 +228,7 @@ def planned_motion(
         foot = Foot(leg, gait, path, first_strike_s=path.start_s + (0.55 + delay) * stride_s)
         angles[:, leg.segments] = leg_angles(leg, place, facing, *foot_path(foot, times))
 
+    # Angles are solved on a grid; as a spline they have derivatives that agree with them exactly.
     spline = make_interp_spline(times, angles.reshape(len(times), -1), k=_DEGREE)
     knots = times[_MARGIN:-_MARGIN]
     powers = [spline.derivative(m)(knots[:-1]) / factorial(m) for m in range(_DEGREE, 0, -1)]

@@ -53,10 +53,12 @@ def gnss_traffic(path: Path, start_ns: int, emulation: GnssEmulation, seed: int)
         k += 1
         time_s = k / emulation.rate_hz
         place, velocity = path(time_s)
+        # Heights are about twice as uncertain as places on the map.
         place = place + emulation.sigma_m * np.array([1.0, 1.0, 2.0]) * rng.standard_normal(3)
         velocity = velocity + emulation.speed_sigma * rng.standard_normal(3)
         has_fix = not emulation.dropout[0] <= time_s < emulation.dropout[1]
         at = datetime.fromtimestamp(start_ns * 1e-9 + time_s, UTC)
+        # However their delay jitters, messages keep their order.
         last_s = max(last_s, time_s + emulation.latency_s + emulation.jitter_s * float(rng.random()))
         yield Transmission(last_s, write(at, geodetic(plane, place), velocity, has_fix, emulation))
 

@@ -172,6 +172,7 @@ def _turn_constant(moving: _Moving, C: FloatArray) -> _Moving:
 
 def _displace(moving: _Moving, r: FloatArray) -> _Moving:
     """Return the point at the lever arm r (M, 3) of the same rigid segment."""
+    # A point on the joint moves as the joint does.
     if not r.any():
         return moving
     arm = np.broadcast_to(r.T[:, None, :], moving.omega.shape)

@@ -42,6 +42,7 @@ def leg_of(body: EmulatedBody, side: str) -> Leg:
         raise ValueError("to walk, a body needs left_ and right_ thigh, shank and foot below its root")
     thigh, shank, foot = (body.segment_names.index(f"{side}_{part}") for part in ("thigh", "shank", "foot"))
     points = [point for segment, point in body.contacts if segment == foot]
+    # A body that names no contacts has those of a usual foot.
     points = points or [np.array([*HEEL, 0.0]), np.array([*TOE, 0.0])]
     return Leg(
         segments=[thigh, shank, foot],

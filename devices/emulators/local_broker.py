@@ -28,6 +28,7 @@ def mosquitto_program() -> str:
 def free_port() -> int:
     """Return a port of the loopback interface that nobody has, for TCP and UDP."""
     while True:
+        # At random, so that tests which run at the same time hardly ever choose the same one.
         port = random.SystemRandom().choice(_PORTS)
         with (
             contextlib.suppress(OSError),

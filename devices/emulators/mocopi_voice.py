@@ -49,6 +49,7 @@ def _relative(
     oriented: Mapping[int, tuple[float, float, float, float]],
 ) -> tuple[tuple[int, tuple[float, float, float, float], tuple[float, float, float]], ...]:
     """Return all bones relative to their parents; one that is not given goes with its parent."""
+    # From z up to y up the three axes change places in a cycle.
     y_up = Rotation.from_quat((0.5, 0.5, 0.5, 0.5), scalar_first=True)
     turned = {-1: Rotation.identity()}
     bones = []

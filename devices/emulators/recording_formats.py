@@ -85,6 +85,7 @@ def read_ring_chain5(trial: Path, kind: str = "rigid", root_marker: int | None =
         q_wb = np.stack([optical[f"seg{segment}_quat_{axis}"] for axis in "wxyz"], axis=1)
         references.append(ReferenceTrack(name, optical_times, q_wb))
 
+    # The mean of all markers is closer to the middle of the segment than any one of them.
     markers = range(1, 5) if root_marker is None else [root_marker]
     root = np.mean([triple(optical, f"seg1_marker{marker}") for marker in markers], axis=0)
     local = LocalTrack(LOCAL_DEVICE, "root", optical_times, POSITION, root, _OPTICAL_SIGMA_M)
@@ -134,6 +135,7 @@ def read_hipose_mtw17(folder: Path) -> Recording:
     files = [read_mt_file(path) for path in sorted(folder.glob("*_00b45c*.csv"))]
     if not files:
         raise FileNotFoundError(f"no file of an MTw module in {folder}")
+    # Counters of modules that were synchronised count the same instants.
     first = min(int(file.counter[0]) for file in files)
     modules, references = [], []
     for file in files:

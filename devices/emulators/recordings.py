@@ -160,6 +160,7 @@ def play(recording: Recording, encoding: Encoding | None = None) -> Iterator[Tra
 def _module_frames(track: ModuleTrack, sampling_rate_hz: float) -> Iterator[tuple[float, WireFrame]]:
     sensors = track.sensors
     readings = {name: getattr(track, name) for name in sensors}
+    # Rows that the recording lacks are packets that were lost: their numbers stay unused.
     is_whole = np.isfinite(np.hstack(list(readings.values()))).all(axis=1)
     rows = np.flatnonzero(is_whole)
     encoder = SampleEncoder(InertialSampleFine, sensors)

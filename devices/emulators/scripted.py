@@ -96,6 +96,7 @@ class Script:
             omega = 2.0 * pi * frequency
             angle = omega * (times - begin) + phase
             sine, cosine = amplitude * np.sin(angle), amplitude * np.cos(angle)
+            # Product rule, twice: the window's own derivatives matter while it opens and closes.
             value += window.value * sine
             rate += window.rate * sine + window.value * omega * cosine
             acceleration += (window.acceleration - window.value * omega**2) * sine

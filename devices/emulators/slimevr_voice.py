@@ -96,7 +96,9 @@ class SlimevrVoice(Voice):
         force = np.array(sensed.force)
         self._filter.update(np.array(sensed.rate), force)
         w, x, y, z = self._filter.getQuat6D()
+        # The last row of the rotation: the world's vertical in sensor axes.
         up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z])
+        # Trackers send acceleration without gravity.
         a, b, c = (force - GRAVITY * up).tolist()
         orientation = float(w), float(x), float(y), float(z)
         if not self.session.takes_bundles:

@@ -103,6 +103,7 @@ class SuitParts:
 
     def _device(self, number: int, rate_hz: float, mode: int, sensors: tuple[str, ...]) -> EmulatedDevice:
         flash = EmulatedFlash(seed=self._seed + number)
+        # A device fresh from the factory has an empty flash, and so the factory's settings.
         if number not in self._settings.fresh:
             stored: dict[str, Any] = {
                 "module_id": self._settings.stored_ids.get(number, number),

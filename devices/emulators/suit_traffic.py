@@ -100,6 +100,7 @@ class SuitTraffic:
         passes on to all what comes to it. What should have come before the time that ``advance`` has
         reached comes then.
         """
+        # Whatever the host says while it is out of range is lost.
         if any(start_s <= at_s < end_s for start_s, end_s in self._host_absences):
             return
         if not self.voices:
@@ -224,6 +225,7 @@ class SuitTraffic:
         planned: dict[int, list[FloatArray]] = {number: [] for number in self._inertial}
         for sampling in timed:
             planned[sampling.device].append(sampling.times)
+        # The motion is evaluated for many samples at once, which takes far less time than one by one.
         until_s = max(to_s, self._now_s + _LOOK_AHEAD_S)
         for number, times in planned.items():
             times.append(self.devices[number].planned(until_s))

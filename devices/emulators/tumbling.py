@@ -64,6 +64,7 @@ class TumblingMotion(BodyMotion):
         R, omega, alpha = self._box(np.asarray(times, dtype=np.float64))
         arms, reference = self._arms[segments], self._reference[segments]
         swept = np.cross(omega, arms)
+        # Tangential and centripetal acceleration of a point that turns with the box.
         lever = np.cross(alpha, arms) + np.cross(omega, swept)
 
         def to_world(v: FloatArray) -> FloatArray:

@@ -107,6 +107,7 @@ class Voice:
             return self.say_fused(Fused(time_us, frame.sequence, packet.orientation))
         if not isinstance(packet, InertialSample | InertialSampleFine):
             return b""
+        # Its messages hold both: one alone cannot be sent.
         if not packet.specific_force or not packet.angular_rate:
             return b""
         force, rate, field = packet.specific_force, packet.angular_rate, packet.magnetic_field
@@ -146,6 +147,7 @@ class Together(Generic[_Said]):
     ) -> list[tuple[int, int, list[_Said]]]:
         """Return number, time and content of each instant that this completes. sequence: of 16 bits."""
         place = self._place[module]
+        # Modules send in turn: one that comes before its predecessor has begun the next round.
         done = sorted(self._waiting) if place < self._last else []
         self._last = place
         newest, count = self._counts.get(module, (sequence, 0))

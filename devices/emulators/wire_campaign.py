@@ -114,6 +114,7 @@ class _Lane:
                 accepted[time_us] += 1
             else:
                 verdict.corrupt.append(f"{self._where()}: {entry}")
+        # Frames that no damage has touched must all have come.
         for time_us in traffic.required - accepted:
             verdict.lost.append(f"{self._where()}: {traffic.sent[time_us]}")
         verdict.n_frames += len(traffic.sent)

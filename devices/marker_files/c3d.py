@@ -162,6 +162,7 @@ def _rows(content: bytes, layout: C3DLayout, path: Path) -> FloatArray:
             "whole frame"
         )
     data = content[layout.start : end]
+    # A negative scale says that points are stored as floating-point numbers.
     if layout.scale < 0:
         values = floats(data, layout.processor)
     else:

@@ -58,6 +58,7 @@ def floats(data: bytes, processor: int) -> FloatArray:
         return np.frombuffer(data, ">f4").astype(np.float64)
     if processor == INTEL:
         return np.frombuffer(data, "<f4").astype(np.float64)
+    # Swapping the halves gives IEEE's order of bits; a quarter corrects the exponent.
     swapped = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1].copy()
     values: FloatArray = swapped.view("<f4").ravel().astype(np.float64) / 4.0
     return values
@@ -115,6 +116,7 @@ def _parameter(content: bytes, at: int, processor: int, name: str) -> Parameter:
     n_dimensions = content[at + 1]
     dimensions = tuple(content[at + 2 : at + 2 + n_dimensions])
     begin = at + 2 + n_dimensions
+    # -1 is text, one byte a letter; 1, 2 and 4 are the bytes of a number.
     size = abs(kind)
     for dimension in dimensions:
         size *= dimension

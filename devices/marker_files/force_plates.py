@@ -68,6 +68,7 @@ def read_force_plates(path: Path) -> ForcePlates:
     channels = int(file.number("ANALOG:USED", 0))
     if count == 0 or channels == 0 or file.layout.analog_per_frame == 0:
         return ForcePlates(file.rate_hz, ())
+    # Analog values come several times a frame, all channels each time.
     if file.layout.analog_per_frame % channels:
         raise FormatError(
             f"{path}: {file.layout.analog_per_frame} analog values a frame do not go with ANALOG:USED "
@@ -175,6 +176,7 @@ def _axes(corners: FloatArray, where: str) -> FloatArray:
         told = "; ".join(" ".join(f"{value:g}" for value in corner) for corner in corners)
         raise FormatError(f"{where}: FORCE_PLATFORM:CORNERS make no rectangle ({told} m): correct the file")
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
+    # Corners are measured and no exact rectangle: y is made square to x.
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 

@@ -52,6 +52,7 @@ def read_ground_reactions(path: Path) -> ForcePlates:
         )
     times = table[:, 0]
     steps = np.diff(times)
+    # Times are rounded in such files, so steps may differ by a fifth.
     if len(times) < 2 or steps.min() <= 0 or np.ptp(steps) > 0.2 * steps.mean():
         raise FormatError(f"{path}: its times do not rise in equal steps: resample it")
     return ForcePlates(float((len(times) - 1) / (times[-1] - times[0])), plates, float(times[0]))

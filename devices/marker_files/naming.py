@@ -60,6 +60,7 @@ def spellings(
     meant |= {plain(bare): label for bare, label in zip(_bare(own), own, strict=True)}
     meant |= {plain(label.rpartition(":")[2]): label for label in own}
     meant |= {plain(_without(label, _owner(own))): label for label in own}
+    # The closest spelling comes last, and so replaces looser ones.
     meant |= {plain(label): label for label in own}
     bare = dict(zip(labels, _bare(labels), strict=True))
     if person is None and _known(bare.values(), meant) > _known(labels, meant) + _ONE_MORE:

@@ -73,6 +73,7 @@ def _rows(lines: list[str], begin: int, n_values: int, path: Path) -> tuple[list
         try:
             rows.append(_row(line, number, n_values, path))
         except FormatError:
+            # Only the last line can have been cut off; another one like it is damage.
             if at < len(own) - 1 or not rows:
                 raise
             notes.append(f"{path}: line {number}, the last one, is cut off: left out")

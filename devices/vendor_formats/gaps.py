@@ -27,6 +27,7 @@ def unwrapped(counter: FloatArray, bits: int, path: Path, column: str) -> IntArr
     steps = np.diff(whole) % size
     if (steps == 0).any():
         raise FormatError(f"{path}: row {_first(steps == 0) + 1} has the same '{column}' as the one before")
+    # More than half of the counter's range ahead is taken for a step back.
     if (steps > size // 2).any():
         raise FormatError(f"{path}: row {_first(steps > size // 2) + 1}: '{column}' goes back")
     return np.concatenate([whole[:1], whole[0] + np.cumsum(steps)])

@@ -128,6 +128,7 @@ def _take_frame(frame: Element, found: _Found, path: Path) -> None:
     position = frame.findtext("position")
     if position is not None:
         whole = _vector(position, 3 * len(found.labels), path, f"{name}, <position>")
+        # Of the root alone: the other places follow from the body.
         found.positions.append(whole[:3])
 
 

@@ -144,6 +144,7 @@ def turned(values: FloatArray, world_deg: float = NORTH_WEST_UP_DEG) -> FloatArr
     world = Rotation.from_euler("z", world_deg, degrees=True)
     q = np.full((len(values), 4), np.nan)
     if values.shape[1] == 9:
+        # Rows of zeros stand for what the device did not know: they are no rotations.
         known = np.isfinite(values).all(axis=1) & (np.abs(np.linalg.det(values.reshape(-1, 3, 3)) - 1) < 0.1)
         rotation = Rotation.from_matrix(values[known].reshape(-1, 3, 3))
     else:

@@ -116,6 +116,7 @@ class MocopiDecoder:
             parts = dict(_fields(data))
             if dict(_fields(parts[b"head"]))[b"ftyp"] != FORMAT:
                 raise ValueError("another format")
+            # The skeleton's definition comes in datagrams of its own, which hold no pose.
             if b"fram" not in parts:
                 self.unused += 1
                 return None
@@ -132,7 +133,10 @@ class MocopiDecoder:
                 self.dropped[why] += 1
                 return None
         return Frame(
-            number, time_ms, tuple((n, (v[3], v[0], v[1], v[2]), (v[4], v[5], v[6])) for n, v in told)
+            # Sony sends x y z w; orientations are w x y z here.
+            number,
+            time_ms,
+            tuple((n, (v[3], v[0], v[1], v[2]), (v[4], v[5], v[6])) for n, v in told),
         )
 
 

@@ -172,6 +172,7 @@ def decode_items(data: bytes) -> Measurement | None:
         if not size or len(content) != size[0]:
             return None
         place += 3 + size[0]
+        # The lowest four bits are precision and axes, not the kind of data.
         name = _NAMES.get(identifier & 0xFFF0)
         if name is None:
             continue
@@ -255,11 +256,13 @@ def _length(rest: bytes) -> int | None:
         return 0
     if len(rest) < 4:
         return None
+    # A length of 255 says that the real one follows in two bytes.
     if rest[3] != 0xFF:
         return rest[3] + 5
     if len(rest) < 6:
         return None
     told = int.from_bytes(rest[4:6], "big")
+    # A longer message would make us wait for bytes that never come.
     return told + 7 if told <= LONGEST else 0
 
 
@@ -320,6 +323,7 @@ class MtiCanDecoder:
             self.dropped["bad_length"] += 1
             return None
         values = tuple(each * unit for each in struct.unpack(layout, frame.data))
+        # These come first in each instant; what follows them belongs to it.
         if frame.identifier in _BEGINS or name == "status_word":
             self._begin(frame.identifier, name, values)
             return None

@@ -211,6 +211,7 @@ class SlimevrDecoder:
         if parts is None:
             self.dropped["bad_length"] += 1
             return []
+        # A tracker that was restarted counts from anew, and greets first.
         if number == 0 and kind == Kind.HANDSHAKE:
             self._newest, self._agreed = -1, 0
         elif not (number == 0 and kind == Kind.PING) and not self._follows(number):
@@ -239,6 +240,7 @@ class SlimevrDecoder:
             self.missed += ahead - 1 if self._newest >= 0 else 0
             self._newest, self._agreed = number, 0
             return True
+        # A single strange number is damage; several that follow one another are the tracker's new count.
         is_next = 0 < number - self._doubtful <= _AGREED
         self._agreed = self._agreed + 1 if self._agreed and is_next else 1
         self._doubtful = number

@@ -99,6 +99,7 @@ class TrackerSession:
         found, rest = [], list(parts)
         while rest:
             size, count = 12, 0
+            # As many as one datagram holds: 6 bytes are the length and kind before each.
             while count < len(rest) and size + 6 + len(rest[count][1]) <= LARGEST:
                 size += 6 + len(rest[count][1])
                 count += 1

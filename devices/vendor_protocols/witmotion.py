@@ -163,6 +163,7 @@ class _Instants:
         if kind == REGISTERS:
             return Values(tuple(number & 0xFFFF for number in numbers))
         if kind == ACCELERATION:
+            # An acceleration begins a sample: one that is still open never got its angular rate.
             self._lose(self._force is not None)
             self._has_begun = True
             self._force = _scaled(numbers, RANGE_G)
@@ -171,6 +172,8 @@ class _Instants:
         elif kind == ANGULAR_RATE:
             force, self._force = self._force, None
             if force is None:
+                # Before the first acceleration nothing is lost: the link was opened in the middle of a
+                # sample.
                 self._lose(self._has_begun)
                 self.unused += not self._has_begun
                 self._is_open = False

@@ -152,6 +152,7 @@ class Ximu3Decoder:
 
     def feed(self, data: bytes) -> list[Message]:
         """Return the messages that these bytes complete, in order."""
+        # Stuffing keeps the end of line out of binary messages, so it ends every message.
         *complete, self._rest = (self._rest + data).split(LF)
         if len(self._rest) > LONGEST:
             self.dropped["too_long"] += 1
@@ -167,6 +168,7 @@ class Ximu3Decoder:
         first = message[0]
         letter = bytes((first & 0x7F,))
         if letter in _GATES:
+            # The top bit of the first byte marks a binary message; the letter is the same.
             numbers = self._binary(message, letter) if first >= 0x80 else self._text(message, letter)
             return None if numbers is None else self._judged(letter, *numbers)
         if first == ord("{"):
@@ -179,6 +181,7 @@ class Ximu3Decoder:
 
     def _binary(self, message: bytes, letter: bytes) -> tuple[int, tuple[float, ...]] | None:
         content = message
+        # Undone in the reverse order, or an escaped escape would be undone twice.
         for byte, instead in reversed(_STUFFED.items()):
             content = content.replace(instead, byte)
         if message.count(ESCAPE) != message.count(b"\xdb\xdc") + message.count(b"\xdb\xdd"):

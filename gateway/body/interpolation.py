@@ -37,6 +37,7 @@ def following_rules(suit: WornSuit) -> Records[FollowingRule]:
     module has none."""
     by_segment = {rule.segment: rule for rule in suit.skeleton.interpolations}
     rows = []
+    # Segments are numbered with parents first, and so are the rules.
     for s in np.flatnonzero(suit.module_of_segment < 0):
         rule, parent = by_segment.get(int(s)), int(suit.skeleton.parents[s])
         ends = (rule.first, rule.second) if rule else ()

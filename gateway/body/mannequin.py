@@ -91,6 +91,7 @@ def mannequin_of(skeleton: Skeleton) -> Mannequin | None:
         side, part = (side, part) if side in ("left", "right") else ("trunk", name)
         parts += [(s, *rest, side) for rest in _parts(part, skeleton, s)]
         if part == "head":
+            # A face shows which way the person looks.
             high = float(np.linalg.norm(skeleton.tips[s]))
             parts.append(
                 (s, _DOWN, high * np.array([0.31, 0.56, 0.0]), _times(high, (0.13, 0.14, 0.25)), "face")

@@ -261,6 +261,7 @@ def _skeleton(body: BodyFile, names: list[str], parents: list[int]) -> Skeleton:
         parents=np.array(parents, dtype=np.int64),
         offsets=np.array([segment.joint for segment in body.segments], dtype=np.float64),
         tips=np.array([segment.tip for segment in body.segments], dtype=np.float64),
+        # Files have a few decimals: made a unit quaternion again.
         neutral=np.array(body.neutral) / np.linalg.norm(body.neutral),
         stature_m=body.stature_m,
         contacts=tuple(

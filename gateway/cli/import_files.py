@@ -145,6 +145,7 @@ def _aligned(
     from gateway.imports.writing import solved
 
     span = seconds_of("--neutral", neutral)
+    # Poses as the rig stands now say by how much each module is turned on its segment.
     seen = solved(recording, suit, settings)
     if seen is None:
         raise GatewayError("--neutral: the files give not one pose")

@@ -32,6 +32,7 @@ class LinkBatching:
     def observe(self, arrived_ns: int) -> None:
         """Note the arrival of a chunk, and estimate the slot from the gaps so far."""
         gap = arrived_ns - self._last_ns
+        # Reads that follow at once took the rest of what one slot had brought.
         if gap < _SAME_CHUNK_NS:
             return
         self._last_ns = arrived_ns

@@ -74,6 +74,7 @@ def metrics_port(settings: MetricsSettings, *, gateway_runs: bool) -> Iterator[F
         return
     where = f"{settings.host}:{settings.port}"
     with socket.socket() as probe:
+        # As servers do: a port in TIME_WAIT is free for them.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((settings.host, settings.port))

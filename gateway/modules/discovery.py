@@ -64,6 +64,7 @@ def link_line(announced: Announced, *others: Announced, module: int | str = "NUM
         listed = ", ".join(f'"{name}": {module}' for name in told)
         head = f'name: {announced.name}, url: "{announced.url}", carries: {announced.carries}'
         return f"- {{{head}, {announced.entry[0]}: {{{listed}}}}}"
+    # A device's name is what somebody typed: nothing of it may end the quotes around it.
     name = re.sub(r"[^\w .-]", "", announced.name).strip() or announced.unique_id
     more = "".join(f", {key}: {value}" for key, value in announced.more.items())
     return (

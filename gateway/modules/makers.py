@@ -273,6 +273,7 @@ async def changed(module: MakersModule, settings: Mapping[str, Any]) -> tuple[di
     before = await module.commands.read(module.line)
     try:
         after = await module.commands.write(module.line, settings)
+    # It says already what stands in the device now.
     except UnfinishedError:
         raise
     except (DeviceError, LinkError) as error:

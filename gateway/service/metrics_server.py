@@ -150,6 +150,7 @@ class _Server(ThreadingHTTPServer):
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Answer one client, in a thread of its own; a method name of the standard library's."""
         deadline = threading.Timer(LONGEST_REQUEST_S, _hang_up, (request,))
+        # A timer that is left must not keep the process from ending.
         deadline.daemon = True
         deadline.start()
         try:

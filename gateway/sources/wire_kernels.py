@@ -110,6 +110,7 @@ def defect_of_frame(raw: Bytes, start: int, stop: int) -> int:
     """Return why the bytes are no wire frame, or -1."""
     if stop - start < MIN_FRAME_SIZE:
         return TOO_SHORT
+    # CRC-32 as zlib has it, byte by byte by a table.
     checksum = 0xFFFFFFFF
     for k in range(start, stop - CHECKSUM_SIZE):
         checksum = CRC_TABLE[(checksum ^ int(raw[k])) & 0xFF] ^ (checksum >> 8)

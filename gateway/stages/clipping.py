@@ -152,6 +152,7 @@ def _watch(
 
     Return how many samples have some; of a module without a row −1 − its id, and nothing is changed."""
     for index in range(len(samples)):
+        # Before anything is changed, as the caller makes a row and begins again.
         if rows[samples[index].module] == _UNHEARD:
             return -1 - int(samples[index].module)
     found = 0

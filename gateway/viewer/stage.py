@@ -113,6 +113,7 @@ class Stage:
         lower = _NARROW_LOWER_M if is_narrow else 0.0
         if view == "top":
             below = np.array([-lower * x, -lower * y, 0.0])
+            # Not straight from above, where no direction of the picture would be up.
             return below + np.array([-0.02 * x, -0.02 * y, far + 1.2]), below
         ahead, left = {
             "front": (1.0, 0.0),

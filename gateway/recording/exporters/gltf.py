@@ -92,6 +92,7 @@ class _Document:
         animation = library.Animation(name=take.name)
         times = self._accessor(take.time_s.astype(np.float32)[:, None], _FLOAT, "SCALAR", has_bounds=True)
         root = int(np.flatnonzero(take.skeleton.parents < 0)[0])
+        # glTF turns each node against its parent; only the root has a place of its own.
         tracks = [(s, "rotation", _local_xyzw(take, s), "VEC4") for s in range(take.skeleton.n_segments)]
         tracks.append((root, "translation", take.p_w[:, root] * units_per_m, "VEC3"))
         for node, what, values, kind in tracks:

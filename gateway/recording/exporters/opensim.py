@@ -30,6 +30,7 @@ def write_sto(take: Take, path: Path, _units_per_m: float) -> None:
     with path.open("w", encoding="ascii") as file:
         file.write("\n".join(head) + "\n")
         for time_s, pose in zip(take.time_s, take.q_wb, strict=True):
+            # OpenSense separates the parts of a quaternion by commas, columns by tabulators.
             cells = (",".join(f"{component:.9f}" for component in q) for q in pose)
             file.write("\t".join([f"{time_s:.6f}", *cells]) + "\n")
 

@@ -105,6 +105,7 @@ def _module_frames(suit: WornSuit) -> list[_ModuleFrame]:
     frames = []
     for s, row in enumerate(suit.module_of_segment.tolist()):
         if row >= 0:
+            # Frames of segments are turned by the neutral posture, so modules in them are as well.
             segment = suit.skeleton.segment_names[s]
             neutral = suit.skeleton.neutral
             frames.append(
