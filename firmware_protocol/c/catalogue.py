@@ -207,6 +207,7 @@ def _write_lines(setting: Setting) -> list[str]:
         *wrong_size,
     ]
     lines += [
+        # A last step of p that nothing reads would make compilers warn.
         line for line in get_lines(declared, "v") if not (declared.count == 1 and line.startswith("p +="))
     ]
     refused = return_if(
