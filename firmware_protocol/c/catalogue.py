@@ -208,7 +208,9 @@ def _write_lines(setting: Setting) -> list[str]:
     ]
     lines += [
         # A last step of p that nothing reads would make compilers warn.
-        line for line in get_lines(declared, "v") if not (declared.count == 1 and line.startswith("p +="))
+        line
+        for line in get_lines(declared, "v")
+        if not (declared.count == 1 and line.startswith("p +="))
     ]
     refused = return_if(
         " || ".join(refusals(declared, "v[i]" if shape else "v")) or "false", "MOCAP_RESULT_BAD_ARGUMENTS"
