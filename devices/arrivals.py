@@ -1,4 +1,4 @@
-"""The queue between a link's receive callback and whoever iterates the link."""
+"""The queue between a link's receive callback and the task that iterates the link."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Asks devices to do something, over links that somebody reads.
+"""Asks devices to do something, over links that another task reads.
 
     client = CommandClient(links, allow_writes=False)
     for packet_class in LISTENS_TO:  # or: async with client.reading(): ...

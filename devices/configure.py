@@ -74,7 +74,7 @@ class Configurator:
         answers = {**infos, **hellos}
         self._present = frozenset(answers)
         await self._ask_again_for_infos(answers)
-        # Health carries the module id alone: of two devices with one id nobody knows whose it is.
+        # Health carries the module id alone: of two devices with one id it could be either's.
         sharing = {
             conflict.module
             for conflict in conflicts({unique_id: answer.module for unique_id, answer in answers.items()})
@@ -303,7 +303,7 @@ class Configurator:
         return value
 
     async def _patiently(self, reading: Callable[[], Awaitable[dict[str, Value]]]) -> dict[str, Value]:
-        """Read, and where nobody answers go on for as long as a restart may take."""
+        """Read, and without an answer go on for as long as a restart may take."""
         loop = asyncio.get_running_loop()
         end = loop.time() + self._restart_patience_s
         while True:

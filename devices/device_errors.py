@@ -22,7 +22,7 @@ class DeviceError(Exception):
 
 
 class NoAnswerError(DeviceError):
-    """Nobody answered, however often it was asked."""
+    """No device answered, however often it was asked."""
 
 
 class WritesLockedError(DeviceError):

@@ -55,7 +55,7 @@ class Chunk:
     link: str
     """Name of the link it came from."""
     sender: str = ""
-    """Address of whoever sent it, as ``HOST:PORT``; empty where only one can be at the other end."""
+    """Address of the sender, as ``HOST:PORT``; empty where only one can be at the other end."""
 
 
 @dataclass(frozen=True, slots=True)

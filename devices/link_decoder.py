@@ -134,7 +134,7 @@ class SenderDecoders(Generic[Packets]):
         }
 
     def _forget_one(self, newest: str) -> None:
-        """Forget a stranger other than the newest; without one, whoever was heard least recently."""
+        """Forget a stranger other than the newest; without one, the sender heard least recently."""
         strangers = (
             name for name, sender in self._by_sender.items() if sender.valid_ns is None and name != newest
         )

@@ -46,7 +46,7 @@ class Peers:
 
 
 def listen_error(kind: str, link: str, host: str, port: int, error: OSError) -> LinkError:
-    """Return what an address that could not be listened on means to whoever wanted it. kind: TCP or UDP."""
+    """Return the error, with its remedy, of an address that could not be listened on. kind: TCP or UDP."""
     if isinstance(error, socket.gaierror):
         return LinkError(f"unknown host '{host}': give an address of this computer, or 0.0.0.0 for all")
     if error.errno == errno.EADDRINUSE:

@@ -51,7 +51,7 @@ class MarkerFileLink:
         self.size = 0
         """Frames in all, once open."""
         self.hold: Callable[[], Awaitable[None]] | None = None
-        """Awaited before every frame: for whoever must not be overrun, or is not there yet."""
+        """Awaited before every frame: for a reader that must not be overrun, or is not there yet."""
         self._speed = speed
         self._labels = labels
         self._person = person

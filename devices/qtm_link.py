@@ -211,7 +211,7 @@ class _Checked(asyncio.Protocol):
             self._end(LinkError(f"{self._place} sent what cannot be read: {error}; {_IS_IT_THE_PORT}"))
 
     def connection_lost(self, error: Exception | None) -> None:
-        """End the link, and wake whoever waits for an answer."""
+        """End the link, and wake the task that waits for an answer."""
         self._client.connection_lost(error)
         self._end(LinkError(f"{self._place} has hung up" + (f": {error}" if error else "")))
         self.gone.set()

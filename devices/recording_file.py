@@ -253,7 +253,7 @@ def chunk_records(chunk: Chunk, most: int) -> list[McapRecord]:
 
 
 def plain_json(data: str | bytes) -> Any:
-    """Return JSON that somebody wrote. Raises ``ValueError`` for what is none, or is nested too deeply."""
+    """Return JSON from an untrusted file. Raises ``ValueError`` for what is none, or is nested too deeply."""
     try:
         found = json.loads(data)
     except RecursionError:

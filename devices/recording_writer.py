@@ -55,7 +55,7 @@ class RecordingWriter:
         self._schemas: dict[str, int] = {}
         try:
             self._begin(session, attachments, created_ns)
-        except BaseException:  # a full disk: a file without even its beginning is nobody's
+        except BaseException:  # a full disk: a file without even its beginning is of no use
             self.abandon()
             self.path.unlink(missing_ok=True)
             raise

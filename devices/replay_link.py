@@ -60,7 +60,7 @@ class ReplayLink:
         """What each of its links carries (``devices.link.content_of``), by the name that its chunks bear;
         known as soon as the file can be read."""
         self.hold: Callable[[], Awaitable[None]] | None = None
-        """Awaited now and then before reading on: for whoever must not be overrun at full speed."""
+        """Awaited now and then before reading on: for a reader that must not be overrun at full speed."""
         self.defect: str | None = None
         """What was wrong with the tail of the file, once the end was reached."""
         self._link = link

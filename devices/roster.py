@@ -32,7 +32,7 @@ class Device:
 
 @dataclass(frozen=True, slots=True)
 class Conflict:
-    """Devices that share one module id; nobody can tell their samples apart."""
+    """Devices that share one module id; their samples cannot be told apart."""
 
     module: int
     unique_ids: tuple[bytes, ...]

@@ -115,7 +115,7 @@ class SignedLink:
         await self.link.close()
 
     async def _give_count(self, sender: str) -> None:
-        """Answer somebody who has the key and not the count, with fewer bytes than came."""
+        """Answer a device that has the key and not the count, with fewer bytes than came."""
         try:
             await self.write(DELIMITER, (sender,) if sender else ())
         except LinkError as error:

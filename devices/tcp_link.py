@@ -149,7 +149,7 @@ class _Connection(asyncio.Protocol):
         self._arrivals.put(data, gateway_time_ns())
 
     def connection_lost(self, error: Exception | None) -> None:
-        """End the link, and wake whoever waits to write."""
+        """End the link, and wake the task that waits to write."""
         lost = LinkError(f"connection to {self._place} was lost: {error}") if error is not None else None
         self._arrivals.end(lost)
         self._gone.set()

@@ -1,4 +1,4 @@
-"""A TCP port of this computer as a link, for programs that connect to whoever is to read them."""
+"""A TCP port of this computer as a link, for programs that connect to the one that reads them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 
 
 class TcpListenLink:
-    """Bytes of whoever is connected, one at a time.
+    """Bytes of the caller that is connected, one at a time.
 
     While nobody is, the link stays open and silent. Who connects from the same address takes the place of
     the connection before, which may be one that has vanished; others are turned away until it ends.
@@ -67,7 +67,7 @@ class TcpListenLink:
         return self._arrivals
 
     async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
-        """Send to whoever is connected. Raises ``LinkError`` when nobody is."""
+        """Send to the connected caller. Raises ``LinkError`` without one."""
         if self._caller is None:
             raise LinkError(f"{self.name}: nobody is connected to write to")
         self._caller.transport.write(data)
@@ -83,7 +83,7 @@ class TcpListenLink:
         self._arrivals.end()
 
     def joined(self, caller: _Caller) -> bool:
-        """Return whether somebody who connected may stay."""
+        """Return whether a caller who connected may stay."""
         if self._server is None or not self.peers.admits(caller.host):
             return False
         if self._caller is not None:
@@ -100,19 +100,19 @@ class TcpListenLink:
         return True
 
     def said(self, caller: _Caller, data: bytes) -> None:
-        """Take what somebody said, if it is whoever is connected."""
+        """Take what a caller sent, if it is the one that is connected."""
         if caller is self._caller:
             self._arrivals.put(data, gateway_time_ns())
 
     def left(self, caller: _Caller) -> None:
-        """Note that somebody is gone."""
+        """Note that a caller is gone."""
         if caller is self._caller:
             self._caller = None
             _log.info("%s: %s has hung up", self.name, caller.host)
 
 
 class _Caller(asyncio.Protocol):
-    """One connection that somebody made."""
+    """One connection that a caller made."""
 
     transport: asyncio.Transport
 

@@ -86,7 +86,7 @@ class Exchange:
         """Answered, or out of attempts and time.
 
         What all are asked is answered when all that are known have answered. Even then the first wait is
-        kept: a device that nobody knows yet, switched on just now, answers within it.
+        kept: a device that is not known yet, switched on just now, answers within it.
         """
         if self.awaits_all:
             has_all = bool(self._known) and self._known <= self.answers.keys()
@@ -118,12 +118,11 @@ class Transactions:
     def __init__(self, first: int) -> None:
         """Begin with the number ``first``.
 
-        A device remembers the last few numbers of whoever spoke to it before, and would repeat its old answer
-        to one
-        of them: begin anywhere but where they began.
+        A device remembers the last few numbers of the host that spoke to it before, and would repeat its old
+        answer to one of them: begin anywhere but where that one began.
         """
         self.unexpected = 0
-        """Answers that nobody waited for: too late, or meant for another host."""
+        """Answers that were not awaited: too late, or meant for another host."""
         self.duplicates = 0
         """Answers that had come before."""
         self._next = first % _TRANSACTIONS

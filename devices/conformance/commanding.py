@@ -61,7 +61,7 @@ async def hello(bench: Bench) -> None:
 
 @rule("hello_no_version", "HELLO with versions that the device does not know is answered with 0")
 async def hello_no_version(bench: Bench) -> None:
-    """Ask with versions that nobody has yet."""
+    """Ask with versions that do not exist yet."""
     answer = await bench.ask(Verb.HELLO, 200, 201)
     demand_result(answer, Result.DONE, "HELLO 200 to 201")
     payload = decode_payload(Verb.HELLO, answer.payload if answer else b"")
@@ -91,7 +91,7 @@ async def get_info(bench: Bench) -> None:
 
 @rule("unknown_verb", "a verb that the device does not know is answered with result 1, never with silence")
 async def unknown_verb(bench: Bench) -> None:
-    """Ask with a verb that nobody has yet."""
+    """Ask with a verb that does not exist yet."""
     demand_result(await bench.ask(UNKNOWN_VERB, arguments=b""), Result.UNKNOWN_VERB, f"verb {UNKNOWN_VERB}")
 
 
@@ -204,7 +204,7 @@ async def by_module_id(bench: Bench) -> None:
 
 @rule("by_unique_id", "a command with a unique id is obeyed by that device alone, whatever its module id")
 async def by_unique_id(bench: Bench) -> None:
-    """Give commands to a unique id that is nobody's, under headers that the module listens to."""
+    """Give commands to a unique id that no device has, under headers that the module listens to."""
     since = bench.mark()
     hello_bytes = encode_arguments(Verb.HELLO, *SUPPORTED)
     for module in (BROADCAST, bench.module):

@@ -78,7 +78,7 @@ class IdleDevice:
         """Blink for so many seconds."""
 
     def introduction(self) -> tuple[Packet, ...]:
-        """Return nothing: nobody waits for it."""
+        """Return nothing: no command waits for it."""
         return ()
 
     def act_by_settings(self) -> None:

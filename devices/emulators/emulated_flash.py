@@ -39,7 +39,7 @@ class EmulatedFlash:
         """Lose power in the middle of the step after so many more; None: not at all.
 
         A step is the erasing of one slot or the programming of one byte. When it is reached the flash
-        raises ``PowerLost`` and has power again for whoever starts next.
+        raises ``PowerLost`` and has power again for the next start.
         """
         self._power_ends = None if steps is None else self.steps + steps
 

@@ -116,7 +116,7 @@ class SlowDrip(Fault):
 
 
 class Noise(Fault):
-    """A babbling node: bytes that nobody of the suit has sent (frames of others on CAN)."""
+    """A babbling node: bytes that no device of the suit has sent (frames of others on CAN)."""
 
     kind: Literal["noise"]
     bytes_per_s: float = Field(default=1000.0, gt=0, le=1e6)

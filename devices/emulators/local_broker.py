@@ -14,7 +14,7 @@ from pathlib import Path
 
 _START_S = 5.0
 _PORTS = range(10_000, 32_000)
-"""Below those that systems give to connections: in the seconds until somebody listens, none takes it."""
+"""Below those that systems give to connections: until a server listens, no connection takes it."""
 
 
 def mosquitto_program() -> str:
@@ -26,7 +26,7 @@ def mosquitto_program() -> str:
 
 
 def free_port() -> int:
-    """Return a port of the loopback interface that nobody has, for TCP and UDP."""
+    """Return a port of the loopback interface that is free, for TCP and UDP."""
     while True:
         # At random, so that tests which run at the same time hardly ever choose the same one.
         port = random.SystemRandom().choice(_PORTS)

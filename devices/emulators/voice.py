@@ -140,7 +140,7 @@ class Together(Generic[_Said]):
         self._place = {module: place for place, module in enumerate(modules)}
         self._counts: dict[int, tuple[int, int]] = {}  # newest sequence, and samples until then
         self._waiting: dict[int, tuple[int, dict[int, _Said]]] = {}
-        self._last = -1  # place of whoever spoke last
+        self._last = -1  # place of the module that sent last
 
     def add(
         self, module: int, sequence: int, time_us: int, said: _Said

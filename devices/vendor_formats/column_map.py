@@ -54,7 +54,7 @@ class Field3(_Strict):
 
 
 class Orientation(_Strict):
-    """Fused by somebody else, sensor axes to a world with Z up."""
+    """Fused elsewhere, sensor axes to a world with Z up."""
 
     columns: Four
     order: Literal["wxyz", "xyzw"] = "wxyz"

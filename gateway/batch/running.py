@@ -88,7 +88,7 @@ def _performed(
     executor: AbstractContextManager[Executor], jobs: Sequence[Job]
 ) -> Generator[tuple[Job, Outcome | None], None, None]:
     """Yield jobs as they end; None in place of an outcome where the process that had it died."""
-    # Processes that were there before belong to somebody else, and are not ended here.
+    # Processes that were there before are not this pool's, and are not ended here.
     others = multiprocessing.active_children()
     with executor as pool:
         try:

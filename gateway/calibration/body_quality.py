@@ -1,4 +1,4 @@
-"""How good one module's place is known, and what was wrong, in words for whoever wears it."""
+"""How good one module's place is known, and what was wrong, in words for the wearer."""
 
 from __future__ import annotations
 

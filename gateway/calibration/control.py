@@ -214,7 +214,7 @@ class CalibrationControl:
 
 
 def _steps_message(session: BodySession) -> list[dict[str, Any]]:
-    """Return its steps, for whoever begins it or goes on with it."""
+    """Return its steps, for a client that begins it or goes on with it."""
     return [
         {"step": s.name, "kind": s.kind.value, "seconds": s.seconds, "instruction": s.instruction}
         for s in session.steps

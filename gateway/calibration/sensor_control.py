@@ -31,7 +31,7 @@ from gateway.sources.stream import Stream
 
 
 class SensorControl:
-    """One session at a time. Poses go on meanwhile; what is found is used by whoever reads the rig anew."""
+    """One session at a time. Poses go on meanwhile; what is found is used once the rig is read again."""
 
     def __init__(
         self,

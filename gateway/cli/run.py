@@ -199,7 +199,7 @@ class _Supervisor:
         """Data flows on while the new configuration is read, its reconstructor compiled, and all that it
         needs bound, opened and checked.
 
-        switch_after_s: time for whoever asked to be answered by the old service. Raises ``GatewayError``
+        switch_after_s: time for the old service to answer the request. Raises ``GatewayError``
         for a configuration that is wrong, or that cannot run here; the old service then goes on.
         """
         if self._next is not None:
@@ -216,7 +216,7 @@ class _Supervisor:
         self._next = service
         self._is_settled.clear()
         if self._task is not None:
-            # The answer to whoever asked goes out over the service that is about to end.
+            # The answer to the request goes out over the service that is about to end.
             asyncio.get_running_loop().call_later(switch_after_s, self._task.cancel)
 
     async def _prepared(self) -> Service:

@@ -1,4 +1,4 @@
-"""Modules of other makers, asked in their own words over links that somebody reads."""
+"""Modules of other makers, asked in their own protocols over links that a source reads."""
 
 from __future__ import annotations
 
@@ -246,7 +246,7 @@ class MakersModules:
 
 
 async def _written(link: Link, data: bytes, to: str) -> SentChunk:
-    """Write to somebody on a link, the only one there if no address is given. Raises ``LinkError``."""
+    """Write to a device on a link, the only one there if no address is given. Raises ``LinkError``."""
     sent = SentChunk(data, gateway_time_ns(), link.name)
     try:
         async with asyncio.timeout(_WRITE_S):
@@ -308,7 +308,7 @@ async def _left_by_failure(
 
 
 def _typed(names: Iterable[str], values: Mapping[str, Any]) -> str:
-    """Return settings as somebody would type them."""
+    """Return settings as a user would type them."""
     return " ".join(f"{name}={_as_typed(values.get(name))}" for name in names)
 
 

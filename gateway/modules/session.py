@@ -104,7 +104,7 @@ class _Sources:
         self._routes[sent.link].sent(sent)
 
     async def heard(self, links: Sequence[LinkSettings]) -> None:
-        """Wait for those that speak to whoever listens, or are to be greeted first."""
+        """Wait for devices that send unasked, or that must be greeted first."""
         awaited = {
             module
             for link in links

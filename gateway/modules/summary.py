@@ -246,7 +246,7 @@ class _Watched:
 
 
 class ModuleStates:
-    """The modules of the rig, and whoever else is heard.
+    """The modules of the rig, and all others that are heard.
 
     silent_after_ns: a module counts as offline after so long without a packet.
     interval_ns: the figures of one module are sent at most so often; silence and return are sent at once.

@@ -123,8 +123,8 @@ class RecordingControl:
             log.error("the disk did not take the end of the recording within %g s", _LONGEST_CLOSE_S)
 
     async def record_while(self, is_cut_off: Callable[[], bool]) -> None:
-        """Record, for ever, for as long as nobody takes poses; what was begun otherwise is left alone."""
-        # A recording that somebody began by hand is not ended here.
+        """Record, for ever, for as long as no broker takes poses; what was begun otherwise is left alone."""
+        # A recording that was begun by hand is not ended here.
         is_ours, since = False, time.monotonic()
         while True:
             await asyncio.sleep(WATCH_INTERVAL_S)
@@ -169,7 +169,7 @@ class RecordingControl:
 
     @property
     def is_behind(self) -> bool:
-        """Whether the disk has fallen far behind: whoever feeds it should ``catch_up`` first."""
+        """Whether the disk has fallen far behind: the caller should ``catch_up`` before it feeds more."""
         return self._recorder is not None and self._recorder.is_behind
 
     async def catch_up(self) -> None:

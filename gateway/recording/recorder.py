@@ -149,7 +149,7 @@ class Recorder:
 
     @property
     def is_behind(self) -> bool:
-        """Whether whoever feeds it should ``catch_up`` first."""
+        """Whether the caller should ``catch_up`` before it feeds more."""
         return self._queue_bytes > LONGEST_QUEUE_BYTES and self.ended is None and self._closing is None
 
     @property

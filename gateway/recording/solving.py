@@ -123,7 +123,7 @@ def verify(recording: Recording, progress: Progress | None = None) -> Verificati
             "`video solve`"
         )
     recomputed: deque[bytes] = deque()
-    markers: deque[bytes] = deque(maxlen=_MOST_WAITING)  # nobody takes them where none were recorded
+    markers: deque[bytes] = deque(maxlen=_MOST_WAITING)  # left here where none were recorded
     compared = 0
     with _poses_by_message(recording, recorded_source(recording), progress) as (poses_of, tell):
         for message in _with_progress(recording, tell):

@@ -154,7 +154,7 @@ def main(step: str) -> None:
         _let_through(name)
     else:
         with contextlib.suppress(OSError):
-            os.nice(19)  # whoever waits for it runs meanwhile
+            os.nice(19)  # what waits for it runs meanwhile
         make_ready(name)
 
 

@@ -149,7 +149,7 @@ class Service:
             stream, self.commands, suit, Journal(default_journal_path()), self._makers
         )
         sender = HostSender(self._note_sent, senders=stream.senders)
-        self._announced: list[Link] = []  # to the pipeline, and with somebody who takes commands
+        self._announced: list[Link] = []  # to the pipeline, and with devices that take commands
         self._askers = list(_askers(settings, self._announced, sender, stream))
 
         self.own_requests = OwnRequests(self.mqtt)

@@ -29,7 +29,7 @@ def notify(*assignments: str) -> bool:
 
 
 def watchdog_interval_s() -> float | None:
-    """Return how often to report that the service is alive; None where nobody watches this process."""
+    """Return how often to report that the service is alive; None where no watchdog is set."""
     microseconds, pid = os.environ.get("WATCHDOG_USEC", ""), os.environ.get("WATCHDOG_PID", "")
     if not microseconds.isdigit() or (pid and pid != str(os.getpid())):
         return None

@@ -33,7 +33,7 @@ _HALF_SAMPLES = 4
 _ALIKE = 0.5
 """Of the interval, by which they may differ."""
 _UNLIKE_SPANS = 24
-"""In a row, after which the interval must be another one: somebody has set the device."""
+"""In a row, after which the interval must be another one: the device was set anew."""
 _SILENCE_NS = 2_000_000_000
 """After so long what comes was not under way for that time."""
 _CREEP = 0.01

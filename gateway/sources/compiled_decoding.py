@@ -89,7 +89,7 @@ class Entries:
                     self.packets[place] = packet
 
     def packet(self, place: int) -> ReceivedPacket:
-        """Return the packet of an entry, whoever was to take it."""
+        """Return the packet of an entry, whether a kernel has read it or not."""
         packet = self.packets.get(place) or self._decoded(place)
         assert packet is not None, "a kernel took what is no packet"
         return packet

@@ -87,7 +87,7 @@ class MakersLinkSettings(OthersLinkSettings):
 
     @classmethod
     def unknown(cls, name: str, content: str) -> Self:
-        """Return the settings of a device that nobody has given a number."""
+        """Return the settings of a device without a number."""
         return cls(name=name, url="recording:", carries=content, module=0)
 
 
@@ -166,7 +166,7 @@ class MakersDevice:
         return self.sender or ""
 
     def due(self, now_ns: int) -> Sequence[tuple[bytes, str]]:
-        """Return what is to be sent by now, each with its addressee, where somebody awaits being spoken to.
+        """Return what is to be sent by now, each with its addressee, where a device waits for it.
 
         Asked every ``TALK_S``; what the readings depend on changes in ``receive`` and ``sent`` alone.
         """

@@ -15,7 +15,7 @@ class Readings:
 
     def __init__(self) -> None:
         self.rows = np.empty(_ROOM, INERTIAL_SAMPLE)
-        """Samples; those of earlier chunks belong to whoever was given them."""
+        """Samples; those of earlier chunks belong to the caller that got them."""
         self.n_rows = 0
         """Samples so far."""
         self.total = 0

@@ -84,7 +84,7 @@ class SequenceCounter(Row):
         return self._take(unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1), link)
 
     def count_unwrapped(self, full: int, link: LinkLosses) -> int | None:
-        """Return the same for a number that somebody else has unwrapped."""
+        """Return the same for a number that is unwrapped already."""
         if not self._goes_on:
             begin = max(self._newest, full - 1)
             self._first += begin - self._newest

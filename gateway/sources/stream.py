@@ -126,7 +126,7 @@ class Stream:
         self._share(packet_class.KIND)
 
     def _share(self, kind: int) -> None:
-        """Have kernels take the samples of a kind, unless somebody is to see each of them."""
+        """Have kernels take the samples of a kind, unless a listener is to see each of them."""
         if kind in SHARED_KINDS:
             self._entries.leave_samples(kind, bool(self._listeners.get(PACKETS[kind])))
 

@@ -58,7 +58,7 @@ UNKNOWN, READABLE, BATCH, SAMPLE = range(4)
 
 
 def treatments() -> NDArray[np.uint8]:
-    """Return by kind (256,) what becomes of it, where nobody listens to samples."""
+    """Return by kind (256,) what becomes of it, where samples have no listener."""
     found = np.full(256, UNKNOWN, np.uint8)
     found[list(PACKETS)] = READABLE
     found[RELAY_BATCH] = BATCH

@@ -25,7 +25,7 @@ MUCH_LOST = 0.02
 LATE_S = 0.25
 """Latency from which on it does."""
 _STOPPED = "stopped"
-"""Why a recording has ended that somebody ended."""
+"""Why a recording has ended that was ended by a request."""
 _SPAN_NS = 10_000_000_000
 
 

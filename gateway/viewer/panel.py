@@ -45,7 +45,7 @@ class _Offer(NamedTuple):
 
 
 class Panel:
-    """Made once; what is chosen in it is read by whoever draws."""
+    """Made once; what is chosen in it is read by what draws."""
 
     def __init__(self, server: viser.ViserServer, rows: Sequence[ButtonRow], stage: Stage) -> None:
         gui = server.gui

@@ -63,7 +63,7 @@ class Errands:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self.language = ENGLISH
-        """Of the message where something goes wrong that nobody has foreseen."""
+        """Of the message where something unforeseen goes wrong."""
         self._loop = loop
         self._work: set[concurrent.futures.Future[None]] = set()
 

@@ -23,7 +23,7 @@ class _Ends:
         self._of_devices: dict[int | None, SignedFrames] = {}
 
     def of(self, device: int | None) -> SignedFrames:
-        """Return the frames of a device by its number; None: of whoever speaks for all."""
+        """Return the frames of a device by its number; None: of the one that sends for all."""
         number = RELAY if device is None else device
         return self._of_devices.setdefault(device, SignedFrames(self._key, signer=number + 1))
 

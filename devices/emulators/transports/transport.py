@@ -16,7 +16,7 @@ class OnReceive(Protocol):
 
 
 def ignore(data: bytes, device: int | None = None, /) -> None:
-    """Discard the host's bytes while nobody listens."""
+    """Discard the host's bytes while no listener is set."""
 
 
 class Transport(Protocol):
@@ -53,5 +53,5 @@ class DatagramTransport(Transport, Protocol):
     """One on which each device has an address of its own, and each transmission is a datagram."""
 
     def offer_from(self, device: int | None, data: bytes) -> bool:
-        """Send as ``offer``, from a device by its number; None: from somebody who is none of them."""
+        """Send as ``offer``, from a device by its number; None: from none of them."""
         ...
