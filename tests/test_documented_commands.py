@@ -114,6 +114,16 @@ def test_the_program_takes_what_is_shown(each, monkeypatch):
         check(typer.main.get_command(app), "mocap-gateway", each.words[1:], monkeypatch)
 
 
+NEED_A_SUIT = ("calibrate body", "calibrate sensors", "calibrate clocks", "modules list", "modules assign")
+
+
+@pytest.mark.parametrize("each", TYPED, ids=named)
+def test_what_is_typed_says_where_the_suit_is(each):
+    """The program takes the line without it, and ends with an error: a newcomer types what stands there."""
+    if " ".join(each.words[1:3]) in NEED_A_SUIT and len(each.words) > 3:
+        assert {"-c", "--config", "--link", "--mqtt", "--help", "x"} & set(each.words), named(each)
+
+
 def test_the_makefile_has_what_is_shown():
     targets = set(re.findall(r"(?m)^([a-z][\w-]*(?: [a-z][\w-]*)*):", (ROOT / "Makefile").read_text()))
     targets = {word for target in targets for word in target.split()}
