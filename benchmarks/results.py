@@ -1,8 +1,8 @@
 """``python -m benchmarks.results``: the figures of every suite as JSON, and the plots made of them.
 
-``python -m benchmarks SUITE --write-docs`` writes ``benchmarks/results/SUITE.json`` beside the page of the suite,
-and plots all suites anew. Without a run, this command does the same with what the pages say: it is for merges in
-which a page and its JSON went apart. A page holds four digits of a figure, its JSON all of them.
+``python -m benchmarks SUITE --write-docs`` writes ``benchmarks/results/SUITE.json`` as well as the page of
+the suite, and plots all suites anew. This command runs nothing and takes the figures from the pages: use it
+after a merge that brought a page without its JSON. A page has four digits of a figure, its JSON all of them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.figures import Figure, Report, machine
+from benchmarks.figures import Figure, Report
+from benchmarks.suites import SUITES
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 RESULTS = Path(__file__).parent / "results"
@@ -27,11 +28,6 @@ _SECTION = r"(?s)<!-- begin (\w+) -->\n(.*?)<!-- end \1 -->"
 _ROW = r"(?m)^\| `(\w+)` \| ([^|]*) \| ([^|]*) \| ([^|]*) \| [^|]* \| (.*) \|$"
 _DECADES = 2
 """How far a plot reaches on either side of the target; what is farther stands at its edge."""
-
-
-def as_json(report: Report, measured_on: str | None = None) -> dict[str, Any]:
-    """Return a report's figures for JSON; ``measured_on`` where that is not this machine."""
-    return report.as_json() | {"machine": measured_on or machine()}
 
 
 def save(found: dict[str, Any], folder: Path = RESULTS) -> None:
@@ -54,15 +50,13 @@ def of_pages(docs: Path) -> dict[str, dict[str, Any]]:
                 Figure(name, float(value), unit.strip(), target.strip().strip("–"), note.strip())
                 for name, value, unit, target, note in re.findall(_ROW, first)
             ]
-            found[suite] = as_json(Report(suite, figures), measured_on[1])
+            found[suite] = Report(suite, figures).as_json() | {"machine": measured_on[1]}
     return found
 
 
 def stored(folder: Path = RESULTS) -> dict[str, dict[str, Any]]:
     """Read the JSON of every suite."""
-    return {
-        path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.json"))
-    }
+    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.json"))}
 
 
 def is_same(page: dict[str, Any], kept: dict[str, Any] | None) -> bool:
@@ -77,7 +71,10 @@ def _shown(figure: dict[str, Any]) -> tuple[str, str, str, str]:
 
 
 def distance(value: float, target: str) -> float | None:
-    """Return the decades by which a figure misses its target; negative: better than it. None without a target."""
+    """Return the decades by which a figure misses its target, negative where it is better.
+
+    Returns None without a target. Anything beyond the plot is moved to its edge.
+    """
     if not target or not math.isfinite(value):
         return None
     bound = float(target.lstrip("<>="))
@@ -102,14 +99,15 @@ def plot_beside_vqf(results: dict[str, dict[str, Any]], suites: Sequence[str]) -
     figures = [
         each | {"target": "<=1"}
         for suite in suites
+        if suite != "speed"  # those are ratios of times
         for each in results.get(suite, {"figures": []})["figures"]
-        if each["name"].endswith("ratio_vqf") and "joint" not in each["name"]
+        if each["name"].endswith("ratio_vqf") and "floor" not in each["name"]  # which is no filter's
     ]
-    return _drawing([(each["name"].removesuffix("_ratio_vqf"), [each]) for each in figures])
+    return _drawing([(each["name"].removesuffix("_ratio_vqf"), [each]) for each in figures], "VQF")
 
 
-def _drawing(rows: list[tuple[str, list[dict[str, Any]]]]) -> str:
-    """Draw figures as marks on one logarithmic axis, a row for each name."""
+def _drawing(rows: list[tuple[str, list[dict[str, Any]]]], middle: str = "target") -> str:
+    """Draw figures as marks on one logarithmic axis, a row for each name; ``middle`` names the place of 1."""
     left, width, step, top = 250, 400, 18, 30
     height = top + step * len(rows) + 12
     lines = [
@@ -118,10 +116,10 @@ def _drawing(rows: list[tuple[str, list[dict[str, Any]]]]) -> str:
     ]
     for power in range(-_DECADES, _DECADES + 1):
         x = _place(float(power), left, width)
-        stroke = "#6e7781" if power == 0 else "#6e778155"
+        stroke, label = ("#6e7781", middle) if power == 0 else ("#6e778155", f"{10.0**power:g} ×")
         lines += [
             f'<line x1="{x:.0f}" y1="{top - 8}" x2="{x:.0f}" y2="{height - 8}" stroke="{stroke}"/>',
-            f'<text x="{x:.0f}" y="{top - 14}" text-anchor="middle">{_tick(power)}</text>',
+            f'<text x="{x:.0f}" y="{top - 14}" text-anchor="middle">{label}</text>',
         ]
     for row, (name, figures) in enumerate(rows):
         y = top + step * row + step // 2
@@ -132,10 +130,6 @@ def _drawing(rows: list[tuple[str, list[dict[str, Any]]]]) -> str:
 
 def _place(decades: float, left: float, width: float) -> float:
     return left + width * (decades + _DECADES) / (2 * _DECADES)
-
-
-def _tick(power: int) -> str:
-    return "target" if power == 0 else f"{10.0**power:g} ×"
 
 
 def _marks(figure: dict[str, Any], y: float, left: float, width: float) -> Iterator[str]:
@@ -164,8 +158,6 @@ def write_plots(docs: Path, folder: Path, suites: Sequence[str]) -> None:
 
 def main() -> None:
     """Bring JSON and plots in line with the pages."""
-    from benchmarks.__main__ import SUITES
-
     kept = stored()
     for suite, found in of_pages(DOCS).items():
         if not is_same(found, kept.get(suite)):
