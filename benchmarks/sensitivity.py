@@ -358,9 +358,10 @@ def page() -> Iterator[str]:
     yield ""
     yield (
         "These constants are for cases that the recordings do not contain. Such are wrong rigs, joints "
-        "that fit nowhere, segments without module, cells that see the sun, and sensors at the end of their "
-        "range. Others are modules that are silent for seconds, runners, receivers of satellites and beacons, "
-        "a body near a magnetic pole, and a heading that was shown wrongly. Tests of their own cover each case."
+        "that fit nowhere, segments without module, cells that see the sun, and sensors at the end of "
+        "their range. Others are modules that are silent for seconds, runners, receivers of satellites and "
+        "beacons, a body near a magnetic pole, and a heading that was shown wrongly. Tests of their own "
+        "cover each case."
     )
 
 

@@ -5,8 +5,8 @@ Only functions are asked to begin with a verb; properties name what they are. A 
 what is overridden need no docstring.
 
 Reading ease is Flesch's: 206.835 − 1.015 words a sentence − 84.6 syllables a word; 60 is plain English, 30 an
-article of science. Tables, code and headings are left out, and a name in code counts as one short word. Pages with fewer
-words than ``FEWEST`` beside their tables are left out too: their share of sentences says nothing.
+article of science. Tables, code and headings are left out, so are pages with fewer words beside these than
+``FEWEST``: so few sentences say nothing of a page. A name in code counts as one short word.
 """
 
 from __future__ import annotations

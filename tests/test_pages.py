@@ -38,7 +38,7 @@ def test_the_page_of_the_tree_names_every_room():
 
 
 def test_diagrams_are_text_in_one_style():
-    """Drawn by box-drawing characters, they read the same in an editor, on a hosting site and in the built pages."""
+    """Box-drawing characters read the same in an editor, on a hosting site and in the built pages."""
     for page in [ROOT / "README.md", *ROOT.glob("docs/**/*.md")]:
         if "_build" in page.parts:
             continue
