@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 CODE = ("firmware_protocol", "devices", "gateway")
@@ -55,3 +56,21 @@ def test_every_page_is_in_the_contents():
     assert not [
         name for name in sorted(folders) if f"{name}/*" not in contents and f"{name}/README" not in contents
     ]
+
+
+def test_the_citation_is_of_this_version():
+    version = re.search(r'(?m)^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    cited = re.search(r"(?m)^version: (.+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert version is not None
+    assert cited is not None
+    assert cited[1] == version[1]
+
+
+def test_the_forms_of_issues_can_be_read():
+    forms = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
+    assert forms
+    for form in forms:
+        read = yaml.safe_load(form.read_text(encoding="utf-8"))
+        assert read["name"], form
+        assert read["description"], form
+        assert all(field["attributes"]["label"] for field in read["body"]), form
