@@ -108,7 +108,8 @@ def plot_beside_vqf(results: dict[str, dict[str, Any]], suites: Sequence[str]) -
 
 def _drawing(rows: list[tuple[str, list[dict[str, Any]]]], middle: str = "target") -> str:
     """Draw figures as marks on one logarithmic axis, a row for each name; ``middle`` names the place of 1."""
-    left, width, step, top = 250, 400, 18, 30
+    width, step, top = 400, 18, 30
+    left = 40 + 7 * max(len(name) for name, _ in rows)
     height = top + step * len(rows) + 12
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {left + width + 30} {height}" '
