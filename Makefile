@@ -32,7 +32,7 @@ help:
 	@echo "make firmware-sizes  its bytes of flash and RAM, deepest stack, instructions a sample"
 	@echo "make firmware-figures  these, and what its tests see, slow ones too, into docs/guide/firmware.md"
 	@echo "make test-blender  the add-on in Blender without a window (Blender is 370 MB; Python 3.11 or 3.13)"
-	@echo "make release-check  wheel and source distribution, the wheel tried in an environment of its own"
+	@echo "make release-check  wheel, source distribution and image; the wheel tried in an environment of its own and in a bare Debian"
 	@echo "make lint    ruff, mypy and the spelling of code and documents"
 	@echo "make golden-renew  after a change that is meant to change poses: store them anew, say by how much each moved"
 	@echo "make bench   measure, and rewrite the figures in docs/"
@@ -153,8 +153,9 @@ firmware-figures: install-dev system-tools firmware
 	FIRMWARE_FIGURES=$(CURDIR)/build/firmware_figures $(BIN)/python -m pytest -n 2 --dist worksteal -m "slow or not slow" tests/firmware
 	@$(BIN)/python -m benchmarks.firmware --figures build/firmware_figures --write-docs
 
-# What is given away: wheel and source distribution, the wheel in an environment of its own, far from this tree.
-# The source distribution has all that the wheel is built from.
+# What is given away: wheel and source distribution, the wheel in an environment of its own, far from this tree, and in
+# a bare Debian. The source distribution has all that the wheel is built from. The image is built without an engine, by
+# buildah. What this machine cannot do is left out, with the reason (77).
 RELEASE := build/release
 release-check: install-dev
 	rm -rf $(RELEASE) && mkdir -p $(RELEASE)/from_source
@@ -165,6 +166,9 @@ release-check: install-dev
 	$(RELEASE)/venv/bin/python -m pip install -q $(FROM_SOURCE) --require-hashes -r requirements/runtime.lock
 	$(RELEASE)/venv/bin/python -m pip install -q --no-deps $(RELEASE)/*.whl
 	cd $(RELEASE) && venv/bin/mocap-gateway --version && venv/bin/mocap-gateway body list && venv/bin/mocap-gateway demo --seconds 10 --no-page
+	.ci/bare_debian $(RELEASE)/*.whl requirements/runtime.lock || [ $$? = 77 ]
+	$(BIN)/python -m pytest -m slow -rs tests/docker
+	@echo "release-check: passed; what was left out stands above"
 
 # In an environment of its own: Blender wants another NumPy, and is for one version of Python alone.
 test-blender: install-dev

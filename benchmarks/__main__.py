@@ -8,50 +8,8 @@ import json
 from pathlib import Path
 
 from benchmarks.figures import Report, write_docs
-
-SUITES = (
-    "accuracy",
-    "gyro_free",
-    "beginnings",
-    "chains",
-    "never_worse",
-    "trackers",
-    "tracker_starts",
-    "speed",
-    "signing",
-    "latency",
-    "outputs",
-    "prediction",
-    "viewer",
-    "clock",
-    "walking",
-    "record",
-    "batch",
-    "fleet",
-    "fleet_archive",
-    "joints",
-    "sensors",
-    "calibration",
-    "faults",
-    "body_faults",
-    "gaps",
-    "sun",
-    "soak",
-    "fuzz",
-    "damage",
-    "overload",
-    "held",
-    "running",
-    "start",
-    "optical",
-    "video_speed",
-    "camera_boards",
-    "video_people",
-    "video",
-    "analysis",
-)
-"""Modules of this package with a function ``run() -> Report``."""
-DOCS = Path(__file__).parent.parent / "docs"
+from benchmarks.results import DOCS, RESULTS, save, write_plots
+from benchmarks.suites import SUITES
 
 
 def run(name: str) -> Report:
@@ -65,7 +23,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("suite", choices=[*SUITES, "all"])
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to FILE")
-    parser.add_argument("--write-docs", action="store_true", help="rewrite its page in docs/figures")
+    parser.add_argument(
+        "--write-docs",
+        action="store_true",
+        help="rewrite its page in docs/figures, its JSON in benchmarks/results, and the plots",
+    )
     arguments = parser.parse_args()
     names = SUITES if arguments.suite == "all" else (arguments.suite,)
     reports = []
@@ -78,6 +40,8 @@ def main() -> None:
             print(figure.line(), flush=True)
         if arguments.write_docs:
             write_docs(report, DOCS, SUITES)
+            save(report.as_json())
+            write_plots(DOCS, RESULTS, SUITES)
         reports.append(report.as_json())
     if arguments.json:
         arguments.json.write_text(json.dumps(reports if len(reports) > 1 else reports[0], indent=2))

@@ -311,13 +311,18 @@ def page() -> Iterator[str]:
     )
     yield ""
     yield (
-        "Every constant of the tuning table was halved (½) and doubled (2), every rule of thumb of "
-        "[the model](estimator.md) switched off, one at a time. Judged on the first minute of the first "
-        "recording of each kind of the training part, with and without field and devices: "
-        f"{', '.join(f'`{name}`' for name in default.kinds)}. total, tilt: change of the error, %, geometric "
-        "mean over all; objective: change of the number that settings are chosen by (mean ratio to VQF and "
-        "penalty); worst: change of the error of the recording that it hurts most, %. Less is better in all."
+        "Each constant of the tuning table was halved (½) and doubled (2), and each rule of thumb of "
+        "[the model](estimator.md) was switched off, one at a time. Every try was judged on the first "
+        "minute of the first recording of each kind of the training part, with and without field and devices:"
     )
+    yield ""
+    yield f"{', '.join(f'`{name}`' for name in default.kinds)}."
+    yield ""
+    yield "- **total, tilt**: change of the error, %, geometric mean over all recordings."
+    yield "- **objective**: change of the number that settings are chosen by (mean ratio to VQF and penalty)."
+    yield "- **worst**: change of the error of the recording that suffers most, %."
+    yield ""
+    yield "Less is better in all columns."
     yield ""
     yield "## Rules of thumb, switched off"
     yield ""
@@ -352,11 +357,11 @@ def page() -> Iterator[str]:
     yield f"Move nothing here by {NOTHING_PERCENT} % either way: {', '.join(still) or 'none'}."
     yield ""
     yield (
-        "What moves nothing here is for what these recordings do not hold: rigs that are wrong and "
-        "joints that fit nowhere, segments without module, cells that see the sun, sensors at the end of "
-        "their range, modules that are silent for seconds, runners, receivers of satellites and beacons, "
-        "a body near a magnetic pole, a heading that was shown wrongly. Tests of their own show what "
-        "each does there."
+        "These constants are for cases that the recordings do not contain. Such are wrong rigs, joints "
+        "that fit nowhere, segments without module, cells that see the sun, and sensors at the end of "
+        "their range. Others are modules that are silent for seconds, runners, receivers of satellites and "
+        "beacons, a body near a magnetic pole, and a heading that was shown wrongly. Tests of their own "
+        "cover each case."
     )
 
 

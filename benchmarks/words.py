@@ -5,7 +5,8 @@ Only functions are asked to begin with a verb; properties name what they are. A 
 what is overridden need no docstring.
 
 Reading ease is Flesch's: 206.835 − 1.015 words a sentence − 84.6 syllables a word; 60 is plain English, 30 an
-article of science. Tables, code and headings are left out, and a name in code counts as one short word.
+article of science. Tables, code and headings are left out, so are pages with fewer words beside these than
+``FEWEST``: so few sentences say nothing of a page. A name in code counts as one short word.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from benchmarks.figures import replace_section, table
 REPOSITORY = Path(__file__).resolve().parents[1]
 PAGE = REPOSITORY / "docs" / "figures" / "words.md"
 PACKAGES = ("firmware_protocol", "devices", "gateway")
+FEWEST = 100
 _NO_VERBS = frozenset(
     re.findall(
         r"\w+",
@@ -132,7 +134,8 @@ def documents() -> dict[str, tuple[int, float, float]]:
     found = {
         str(page.relative_to(REPOSITORY)): reading_ease(page.read_text(encoding="utf-8")) for page in pages
     }
-    return dict(sorted(found.items(), key=lambda each: each[1][2]))
+    judged = {page: measures for page, measures in found.items() if measures[0] >= FEWEST}
+    return dict(sorted(judged.items(), key=lambda each: each[1][2]))
 
 
 def section() -> str:

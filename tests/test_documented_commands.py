@@ -38,6 +38,8 @@ class Shown(NamedTuple):
 
     page: str
     words: list[str]
+    is_typed: bool
+    """It stands in a block, for readers to type; not within a sentence."""
 
 
 def lines_of(block: str) -> Iterator[str]:
@@ -74,10 +76,11 @@ def shown() -> list[Shown]:
         blocks = [line for block in BLOCK.findall(text) for line in lines_of(block)]
         spans = SPAN.findall(re.sub(r"(?s)```.*?```", "", text))
         name = str(page.relative_to(ROOT))
-        for line in [*blocks, *(" ".join(span.split()) for span in spans)]:
+        lines = [(line, True) for line in blocks] + [(" ".join(span.split()), False) for span in spans]
+        for line, is_typed in lines:
             words = words_of(line, variables)
             if words and not LEFT_OUT.search(" ".join(words)):
-                found[name, " ".join(words)] = Shown(name, words)
+                found.setdefault((name, " ".join(words)), Shown(name, words, is_typed))
     return list(found.values())
 
 
@@ -112,6 +115,16 @@ def check(command: Any, name: str, words: list[str], patch: pytest.MonkeyPatch, 
 def test_the_program_takes_what_is_shown(each, monkeypatch):
     with contextlib.suppress(typer.Exit):  # of --help and --version
         check(typer.main.get_command(app), "mocap-gateway", each.words[1:], monkeypatch)
+
+
+NEED_A_SUIT = ("calibrate body", "calibrate sensors", "calibrate clocks", "modules list", "modules assign")
+
+
+@pytest.mark.parametrize("each", TYPED, ids=named)
+def test_what_is_typed_says_where_the_suit_is(each):
+    """The program takes the line without it, and ends with an error: a newcomer types what stands there."""
+    if each.is_typed and " ".join(each.words[1:3]) in NEED_A_SUIT:
+        assert {"-c", "--config", "--link", "--mqtt", "--help", "x"} & set(each.words), named(each)
 
 
 def test_the_makefile_has_what_is_shown():

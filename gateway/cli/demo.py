@@ -95,7 +95,7 @@ class Truth:
             return None
         return (
             f"this machine was too busy for a suit in real time: {share:.0%} of the samples were lost, and "
-            f"5 % of the poses came more than {late_s * 1e3:.0f} ms late. The errors tell of that, too: "
+            f"5 % of the poses came more than {late_s * 1e3:.0f} ms late. The errors include that: "
             "try again when less else is running"
         )
 

@@ -68,7 +68,8 @@ def discover_modules(
         return
     if not found:
         typer.echo(
-            "no module announced itself: is it in this network, does a firewall keep UDP back?",
+            "no module announced itself: is it in this network, does a firewall keep UDP back? (Serial and CAN "
+            "devices do not announce themselves: their ports are in /dev/serial/by-id and `ip link`.)",
             err=True,
         )
         raise typer.Exit(1)
@@ -78,6 +79,7 @@ def discover_modules(
             signal = "" if each.rssi_percent is None else f", signal {each.rssi_percent} %"
             typer.echo(f"# {each.carries} {each.unique_id}{battery}{signal}")
         typer.echo(link_line(*together))
+    typer.echo("# NUMBER: the module's number in your rig file, which says where it sits")
 
 
 @with_suit

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import random
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -41,6 +42,8 @@ _DELAY_S = 0.05
 _INTERVAL_US = 10_000
 _INSTANTS = 12
 """That many samples of each module go through the pipeline."""
+_SHAKEN_INSTANTS = 300
+"""And so many more in motion: how modules are worn is judged once a second, from some seconds."""
 _PARAMS = frame_assembler.AssemblyParams(
     frame_interval_ns=10_000_000, max_wait_ns=20_000_000, max_gap_ns=50_000_000, hold_ns=100_000_000
 )
@@ -86,6 +89,10 @@ def _let_through(name: str) -> None:
         pipeline.add_link(framing, framing)
         for chunk in _chunks(suit, framing):
             pipeline.feed(chunk)
+    # A body at rest does not ask how its modules are worn. Compiled at the first motion, it would stop a
+    # gateway for seconds.
+    for chunk in _shaken(suit):
+        pipeline.feed(chunk)
     pipeline.statistics()
     with contextlib.suppress(OSError):  # then it is looked up again, which does no harm
         note = note_of(name, compiled.CACHE_DIRECTORY)
@@ -116,6 +123,23 @@ def _chunks(suit: WornSuit, framing: Framing) -> Iterator[Chunk]:
                 for first in range(0, len(frames), 4)
             ]
         yield Chunk(_framed(frames, framing), time_us * 1_000, framing)
+
+
+def _shaken(suit: WornSuit) -> Iterator[Chunk]:
+    """Yield what modules send, after ``_chunks``, that are shaken each for itself: no joint fits."""
+    chance = random.Random(1)
+    for k in range(_SHAKEN_INSTANTS):
+        time_us = (len(Framing) * _INSTANTS + k + 1) * _INTERVAL_US
+        frames = []
+        for module in suit.module_ids:
+            across, along = chance.gauss(0.0, 20.0), chance.gauss(0.0, 20.0)
+            sample = InertialSample(
+                specific_force=(across, along, 9.81),
+                angular_rate=(0.0, 0.1, 0.0),
+                magnetic_field=(20.0, 0.0, -40.0),
+            )
+            frames.append(wire_frame(sample, module, time_us // _INTERVAL_US, time_us))
+        yield Chunk(_framed(frames, Framing.BYTE_STREAM), time_us * 1_000, Framing.BYTE_STREAM)
 
 
 def _framed(frames: Sequence[WireFrame], framing: Framing) -> bytes:

@@ -13,8 +13,9 @@ from typing import Any
 
 import pytest
 
-from benchmarks import figures
-from benchmarks.__main__ import DOCS, SUITES
+from benchmarks import figures, results
+from benchmarks.results import DOCS
+from benchmarks.suites import SUITES
 
 SMALL: dict[str, dict[str, Any]] = {
     "batch": {"SECONDS": 2.0, "SESSIONS": 2},
@@ -107,6 +108,28 @@ def test_the_headlines_are_the_figures_with_an_aim_of_all_pages() -> None:
         figures_ = [line.strip("| ").split(" | ") for line in first.splitlines() if line.startswith("| `")]
         aimed = [[cell.strip() for cell in each[:5]] for each in figures_ if each[3].strip() != "–"]
         assert shown[name] == (aimed or [[""] * 5]), name
+
+
+def test_json_stands_beside_every_suite_and_says_what_its_page_says() -> None:
+    """Where a merge brought one without the other: ``python -m benchmarks.results``."""
+    pages, kept = results.of_pages(DOCS), results.stored()
+    assert set(kept) == set(pages) == set(SUITES)
+    assert [name for name in SUITES if not results.is_same(pages[name], kept[name])] == []
+    assert sum(len(each["figures"]) for each in kept.values()) > 300
+
+
+def test_plots_are_those_of_the_json() -> None:
+    kept = results.stored()
+    for name, drawn in (("targets", results.plot_targets), ("beside_vqf", results.plot_beside_vqf)):
+        assert (DOCS / results.PLOTS / f"{name}.svg").read_text() == drawn(kept, SUITES), name
+
+
+@pytest.mark.parametrize(
+    ("value", "target", "decades"),
+    [(1.0, "<=10", -1.0), (10.0, "<1", 1.0), (10.0, ">=100", 1.0), (0.0, "<=0", -2.0), (1.0, "<=0", 2.0)],
+)
+def test_a_plot_says_by_how_much_a_target_is_missed(value: float, target: str, decades: float) -> None:
+    assert results.distance(value, target) == pytest.approx(decades)
 
 
 def test_a_suite_rewrites_its_page_and_its_headlines_alone(tmp_path: Path) -> None:
