@@ -18,7 +18,6 @@ from typing import Any, Self
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
-from paho.mqtt.subscribeoptions import SubscribeOptions
 from pydantic import TypeAdapter
 
 from devices.link import gateway_time_ns
@@ -36,7 +35,6 @@ from gateway.contract.messages import (
 )
 from gateway.contract.properties import JSON, properties_of
 from gateway.contract.topics import BRIDGE_INFO, Topics
-from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
 from gateway.outputs.connection import (
@@ -54,11 +52,12 @@ from gateway.outputs.connection import (
 from gateway.outputs.direct_publishing import DirectPublisher
 from gateway.outputs.failover import BrokerTurns, ClusterConnection, keep_asking
 from gateway.outputs.home_assistant import discovery
-from gateway.outputs.late_poses import LatePoses
+from gateway.outputs.late_poses import LateOutlet
 from gateway.outputs.output import Thinning
-from gateway.outputs.own_topics import PublishRights, TwinWatch
+from gateway.outputs.own_topics import PublishRights
 from gateway.outputs.pose_encoding import Outgoing, PosePublications
 from gateway.outputs.queues import PoseQueue, RetainedMessages
+from gateway.outputs.same_name import NameGuard, NameTaken
 from gateway.outputs.settings import MqttSettings
 
 logger = logging.getLogger(__name__)
@@ -74,16 +73,8 @@ _DRAIN_S = 0.5
 
 _PROBE_INTERVAL_S = 2.0
 """Between two poses that the broker is to answer for."""
-_RETAINED_S = 0.5
-"""Time for what a broker keeps to come after a subscription."""
 _POSES_A_TURN = 8
 """Of a burst; links are read in between."""
-_LATE_TOGETHER = 10
-"""Late poses whose acknowledgements are waited for at once."""
-
-
-class _NameTaken(OutputError):
-    """Another gateway has our name, and we are not to publish beside it."""
 
 
 def _door(settings: MqttSettings) -> dict[str, object]:
@@ -122,8 +113,7 @@ class MqttOutput:
         self.instance = secrets.token_hex(8)
         """Another one for every output that is made: tells gateways of one name apart."""
         self.rights = PublishRights(are_reported=settings.spoken_protocol == "5")
-        self._twins = TwinWatch(self.topics, self.instance)
-        self._name_taken: asyncio.Future[None] | None = None
+        self._name = NameGuard(settings, self.topics, self.instance)
         self._probe_due = 0.0
         self._info = info = info.model_copy(update={"instance": self.instance})
         self._utc: UtcAnchor | None = None
@@ -140,11 +130,11 @@ class MqttOutput:
         self._thinning = Thinning(settings.pose_rate)
         self._relief = Thinning(None)
         self._queue = PoseQueue(settings.queue_length)
-        self._late: LatePoses | None = None
+        self._late: LateOutlet | None = None
         self._turns = BrokerTurns(settings, settings.port)
         self._poses: ClusterConnection | None = None  # where there is a cluster
         self._is_announced = asyncio.Event()
-        self._published = self._dropped = self._thinned = self._connections = self._kept_late = 0
+        self._published = self._dropped = self._thinned = self._connections = 0
         self._in_hand = 0  # 1 while a pose is on its way to the broker
         self._direct: DirectPublisher | None = None  # while poses may go out
         self._direct_in_turn = 0  # poses published at once since the event loop last had its turn
@@ -164,7 +154,7 @@ class MqttOutput:
             dropped=self._dropped + self._queue.dropped,
             thinned=self._thinned,
             queued=len(self._queue) + self._in_hand,
-            late=self._kept_late,
+            late=0 if self._late is None else self._late.kept,
             connections=self._connections,
         )
 
@@ -176,22 +166,21 @@ class MqttOutput:
     @property
     def twin(self) -> str | None:
         """Instance of another gateway of the same name that was heard lately."""
-        return self._twins.twin
+        return self._name.twin
 
     async def until_name_is_taken(self) -> None:
         """Wait for ever, unless another gateway has the name and the settings say ``refuse``.
 
         Raises ``OutputError`` then.
         """
-        assert self._name_taken is not None, "not started"
-        await asyncio.shield(self._name_taken)
+        await self._name.until_taken()
 
     def offer(self, frame: SkeletonFrame) -> None:
         """Take a frame for publishing. Never waits; where too many wait the oldest gives way."""
         if not (self._thinning.admits(frame.time_ns) and self._relief.admits(frame.time_ns)):
             self._thinned += 1
         elif self._late is not None and not self.is_connected:
-            self._keep_late(frame, self._late)
+            self._late.keep(self._encoded(frame))
         elif not self._published_at_once(frame):
             self._queue.put(frame)
             self._wake.set()
@@ -211,7 +200,8 @@ class MqttOutput:
         outgoing = self._encoded(frame)
         if outgoing is None:
             return True
-        self._hold(outgoing)
+        if self._late is not None:
+            self._late.hold(outgoing)
         try:
             is_taken = direct.publish(outgoing)
         except aiomqtt.MqttError:
@@ -224,20 +214,6 @@ class MqttOutput:
             self._in_hand = 1
             self._wake.set()
         return True
-
-    def _keep_late(self, frame: SkeletonFrame, late: LatePoses) -> None:
-        """Keep a pose to be sent later."""
-        for outgoing in self._encoded(frame) or ():
-            if outgoing.topic == self.topics.pose:
-                late.keep(outgoing.payload)
-                self._kept_late += 1
-
-    def _hold(self, outgoing: list[Outgoing]) -> None:
-        """Hold what is about to be published, for the case that the connection is dead already."""
-        if self._late is not None:
-            for each in outgoing:
-                if each.topic == self.topics.pose:
-                    self._late.published(each.payload)
 
     def publish_beside(self, topic: str, payload: bytes) -> bool:
         """Publish a message beside the poses, below the gateway's topics, if the broker's socket takes it at
@@ -337,12 +313,10 @@ class MqttOutput:
                 await self._broker.start()
             self.port = self._broker.port
         if self._settings.late is not None:
-            late = self._settings.late
-            path = late.folder / f"{self._info.gateway}.late.jsonl"
-            self._late = LatePoses(path, self.instance, late.most_mb)
+            self._late = LateOutlet(self._settings.late, self.topics, self.instance, self._properties)
         self._turns = BrokerTurns(self._settings, self.port)
         self._started = time.monotonic()
-        self._name_taken = asyncio.get_running_loop().create_future()
+        self._name.begin()
         self._task = asyncio.create_task(self._run(), name="mqtt output")
 
     async def stop(self) -> None:
@@ -355,7 +329,7 @@ class MqttOutput:
             await end_tasks(self._task)
             self._task = None
         if self._late is not None:
-            self._late.close()
+            self._late.poses.close()
             self._late = None
         if self._successor is not None:
             self._successor._broker, self._broker = self._broker, None
@@ -393,7 +367,7 @@ class MqttOutput:
     async def _run_poses(self, connection: ClusterConnection) -> None:
         """Publish poses alone, over connections on which nothing has to wait for the cluster to agree."""
         await self._is_announced.wait()  # or others would hear poses of a gateway that they do not know
-        confirmed = None if self._late is None else self._late.confirmed
+        confirmed = None if self._late is None else self._late.poses.confirmed
         await connection.run(
             self._publish_poses_alone, confirmed, self._lost_poses_connection, self._stopping
         )
@@ -436,12 +410,10 @@ class MqttOutput:
                     self._turns.succeeded()
                     self.rights.begin_again()
                     self._probe_due = 0.0
-                    await self._watch_own_topics(client)
+                    await self._name.watch(client, self._where, is_first=not self._connections)
                     # A publication may go on waiting for a connection that is lost already.
                     await first_to_end(self._listen(client), self._serve(client), *self._watch(client))
-            except _NameTaken as error:
-                assert self._name_taken is not None
-                self._name_taken.set_exception(error)
+            except NameTaken:
                 return
             except Exception as error:
                 if self._poses is None:
@@ -458,82 +430,26 @@ class MqttOutput:
     def _watch(self, client: aiomqtt.Client) -> list[Coroutine[Any, Any, None]]:
         """Return what goes on beside publishing where a silent broker is to be noticed soon."""
         parts: list[Coroutine[Any, Any, None]] = []
-        if self._late is not None and self._settings.late is not None:
-            parts.append(self._send_late(client, self._late, self._settings.late.rate))
+        if self._late is not None:
+            parts.append(self._late.send(client, lambda: self.is_connected))
             if self._poses is None:
-                parts.append(keep_asking(client, self._settings.answer_within, self._late.confirmed))
+                parts.append(keep_asking(client, self._settings.answer_within, self._late.poses.confirmed))
         return parts
 
     def _keep_unsent(self) -> None:
         """Have what waits, or may not have arrived, sent later, where that is asked for."""
         if self._late is None or self._stopping.is_set():
             return
-        self._late.connection_lost()
+        self._late.poses.connection_lost()
         while self._queue:
-            self._keep_late(self._queue.take(), self._late)
-
-    async def _send_late(self, client: aiomqtt.Client, late: LatePoses, rate: float) -> None:
-        """Publish what was kept beside the live poses, ``rate`` a second, as long as there is a broker."""
-        while True:
-            poses = (
-                late.next(_LATE_TOGETHER, gateway_time_ns()) if self.is_connected and late.has_some else []
-            )
-            if poses or late.has_some:
-                publishing = (
-                    client.publish(self.topics.late_pose, pose, qos=1, properties=self._properties)
-                    for pose in poses
-                )
-                await asyncio.gather(*publishing)
-                late.done(len(poses))
-            await asyncio.sleep(_LATE_TOGETHER / rate)
-
-    async def _watch_own_topics(self, client: aiomqtt.Client) -> None:
-        """Subscribe to what tells of another gateway of our name.
-
-        Raises ``_NameTaken`` where there is one and the settings say ``refuse``.
-        """
-        if self._settings.same_name == "ignore":
-            return
-        for topic in self._twins.watched:
-            if self.rights.are_reported:
-                await client.subscribe(topic, options=SubscribeOptions(qos=1, noLocal=True))
-            else:
-                await client.subscribe(topic, qos=1)
-        if self._settings.same_name == "refuse" and not self._connections:
-            await self._make_sure_to_be_alone(client)
-
-    async def _make_sure_to_be_alone(self, client: aiomqtt.Client) -> None:
-        await self._listen_for(client, _RETAINED_S, lambda: self._twins.is_suspected)
-        if self._twins.is_suspected:
-            beat_s = 2 * self._settings.health_interval + _RETAINED_S
-            await self._listen_for(client, beat_s, lambda: self.twin is not None)
-        if self.twin is not None:
-            raise _NameTaken(
-                f"another gateway named '{self._info.gateway}' publishes at "
-                f"{self._where} (instance {self.twin}): give one of them another name "
-                "(gateway: …), or stop it"
-            )
-
-    async def _listen_for(
-        self, client: aiomqtt.Client, seconds: float, is_enough: Callable[[], bool]
-    ) -> None:
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(seconds):
-                async for message in client.messages:
-                    self._take(message)
-                    if is_enough():
-                        return
+            self._late.keep(self._encoded(self._queue.take()))
 
     async def _listen(self, client: aiomqtt.Client) -> None:
         """Until the connection ends; raises ``aiomqtt.MqttError`` when it was lost."""
         async for message in client.messages:
-            if self._take(message) and not self._stopping.is_set():
+            if self._name.take(message) and not self._stopping.is_set():
                 self._retained.keep(self.topics.bridge_info, self._info.payload())
                 self._retained.keep(self.topics.bridge_state, _ONLINE)
-
-    def _take(self, message: aiomqtt.Message) -> bool:
-        payload = message.payload if isinstance(message.payload, bytes) else b""
-        return self._twins.take(message.topic.value, payload, is_retained=message.retain)
 
     async def _serve(self, client: aiomqtt.Client) -> None:
         """Announce the gateway, then publish until stopped."""
@@ -641,7 +557,8 @@ class MqttOutput:
         Only QoS 1 is answered: now and then a pose goes out so, and while topics are refused no other does.
         The answer is waited for unless the one before was good.
         """
-        self._hold(outgoing)
+        if self._late is not None:
+            self._late.hold(outgoing)
         is_probe = self.rights.are_reported and time.monotonic() >= self._probe_due
         if not is_probe:
             direct.publish([each for each in outgoing if each.topic not in self.rights.refused])
