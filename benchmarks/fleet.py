@@ -23,7 +23,7 @@ from benchmarks.figures import Figure, Report, table
 from gateway.contract import topics
 from gateway.fleet.cluster import NODES, READER, Node
 from gateway.fleet.demonstration import DemoFleet, Wanted
-from gateway.fleet.overview import Fleet, listen, take_into
+from gateway.fleet.overview import Fleet, listener, take_into
 from gateway.outputs.connection import broker_connection, unique_identifier
 
 GATEWAYS = int(os.environ.get("FLEET_GATEWAYS", "100"))
@@ -50,6 +50,8 @@ class Heard:
     arrivals: dict[str, list[float]] = field(default_factory=dict)
     repeated: int = 0
     """Live poses whose number had come live already."""
+    overflowed: int = 0
+    """Messages that came faster than the reader took them."""
 
     def take(self, message: aiomqtt.Message) -> None:
         """For ``listen``."""
@@ -179,12 +181,13 @@ def _processor_s(pids: list[int]) -> float:
 @contextlib.asynccontextmanager
 async def _listening(fleet: DemoFleet, heard: Heard) -> AsyncIterator[None]:
     """Have a reader hear all, for as long as the block lasts."""
-    ready = asyncio.Event()
-    task = asyncio.create_task(listen(fleet.settings(READER, 1), heard.take, ready, with_late=True))
-    await ready.wait()
+    receiver = listener(fleet.settings(READER, 1), heard.take)
+    task = asyncio.create_task(receiver.run())
+    await receiver.subscribed.wait()
     try:
         yield
     finally:
+        heard.overflowed += receiver.dropped
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
 

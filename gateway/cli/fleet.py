@@ -196,17 +196,20 @@ def read_wearers(path: Path | None) -> dict[str, str]:
 
 @contextlib.asynccontextmanager
 async def _listening(settings: MqttSettings, wearers: dict[str, str]) -> AsyncIterator[Fleet]:
-    from gateway.fleet.overview import Fleet, listen, take_into
+    from gateway.fleet.overview import Fleet, listener, take_into
 
-    fleet, ready = Fleet(settings.base_topic, wearers), asyncio.Event()
-    listening = asyncio.ensure_future(listen(settings, take_into(fleet), ready))
-    waiting = asyncio.ensure_future(ready.wait())
+    fleet = Fleet(settings.base_topic, wearers)
+    receiver = listener(settings, take_into(fleet))
+    listening = asyncio.ensure_future(receiver.run())
+    waiting = asyncio.ensure_future(receiver.subscribed.wait())
     try:
         await asyncio.wait({listening, waiting}, return_when=asyncio.FIRST_COMPLETED)
         if listening.done():
             listening.result()
         yield fleet
     finally:
+        if receiver.dropped:
+            typer.echo(f"{receiver.dropped} messages came faster than they could be counted", err=True)
         for task in (listening, waiting):
             task.cancel()
         await asyncio.gather(listening, waiting, return_exceptions=True)
@@ -336,23 +339,25 @@ def collect(
     files = kept.renew_catalogue()
     typer.echo(
         f"{collector.rows} poses kept, {collector.repeated} were there already, "
-        f"{collector.undecodable} not readable; {files} files"
+        f"{collector.undecodable} not readable, {collector.missed} came too fast to be kept; {files} files"
     )
 
 
 async def _collect(settings: MqttSettings, collector: Collector, flush_s: float) -> None:
-    from gateway.fleet.overview import listen
+    from gateway.fleet.overview import listener
 
     async def write() -> None:
         while True:
             await asyncio.sleep(flush_s)
             collector.flush()
 
+    receiver = listener(settings, collector.take)
     writing = asyncio.ensure_future(write())
     try:
-        await listen(settings, collector.take, asyncio.Event(), with_late=True)
+        await receiver.run()
     finally:
         writing.cancel()
+        collector.missed = receiver.dropped
 
 
 @archive_app.command(

@@ -52,7 +52,7 @@ def _user(name: str, password: str, base_topic: str) -> str:
         return f"{{user: {json.dumps(name)}, password: {json.dumps(password)}}}"
     if name == READER:
         # It asks and is answered; poses it cannot make.
-        publish = [subject_of(f"{base_topic}/*/bridge/request/>")]
+        publish = [subject_of(f"{base_topic}/*/bridge/{below}/>") for below in ("request", "echo")]
         # With the level above, for the filter <base_topic>/# means that as well.
         subscribe = [subject_of(base_topic), subject_of(f"{base_topic}/>")]
     else:

@@ -48,6 +48,8 @@ class Collector:
         self.repeated = 0
         """Poses left out because they were there already."""
         self.undecodable = 0
+        self.missed = 0
+        """Messages that came faster than they were taken."""
         self._archive = archive
         self._site = checked_name("site", site)
         self._wearers = dict(wearers)

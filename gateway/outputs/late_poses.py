@@ -163,13 +163,16 @@ class LateOutlet:
             if each.topic == self._topics.pose:
                 self.poses.published(each.payload)
 
-    async def send(self, client: aiomqtt.Client, is_possible: Callable[[], bool]) -> None:
-        """Publish what was kept beside the live poses, for ever. Raises ``aiomqtt.MqttError``.
+    async def send(self, client: aiomqtt.Client, may_send: Callable[[], bool | None]) -> None:
+        """Publish what was kept beside the live poses; returns when that wants another connection.
 
-        is_possible: whether live poses have a connection.
+        may_send: whether now; None: over another connection. Raises ``aiomqtt.MqttError``.
         """
         while True:
-            if is_possible() and self.poses.has_some:
+            may = may_send() if self.poses.has_some else False
+            if may is None:
+                return
+            if may:
                 poses = self.poses.next(_TOGETHER, gateway_time_ns())
                 publishing = (
                     client.publish(self._topics.late_pose, pose, qos=1, properties=self._properties)

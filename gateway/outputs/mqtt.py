@@ -38,6 +38,7 @@ from gateway.contract.topics import BRIDGE_INFO, Topics
 from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
 from gateway.outputs.connection import (
+    TIMEOUT_S,
     broker_back_off,
     broker_connection,
     check_admittance,
@@ -67,6 +68,9 @@ _OFFLINE = BridgeState(state="offline").payload()
 
 _FAREWELL_S = 1.5
 """Longest time to publish what is queued, say offline and disconnect."""
+_ELECTION_S = 12.0
+"""Longest wait for a cluster that has lost its leader. A connection that is given up before it was let in
+leaves a will behind: the broker then says offline of a gateway that is there."""
 _DRAIN_S = 0.5
 """Part of it for the queue."""
 
@@ -137,6 +141,7 @@ class MqttOutput:
         self._published = self._dropped = self._thinned = self._connections = 0
         self._in_hand = 0  # 1 while a pose is on its way to the broker
         self._direct: DirectPublisher | None = None  # while poses may go out
+        self._beside: DirectPublisher | None = None  # while two brokers of a cluster do not hear each other
         self._direct_in_turn = 0  # poses published at once since the event loop last had its turn
         self._complaints: set[str] = set()
         self._wake = asyncio.Event()
@@ -180,7 +185,7 @@ class MqttOutput:
         if not (self._thinning.admits(frame.time_ns) and self._relief.admits(frame.time_ns)):
             self._thinned += 1
         elif self._late is not None and not self.is_connected:
-            self._late.keep(self._encoded(frame))
+            self._keep_late(frame)
         elif not self._published_at_once(frame):
             self._queue.put(frame)
             self._wake.set()
@@ -200,12 +205,11 @@ class MqttOutput:
         outgoing = self._encoded(frame)
         if outgoing is None:
             return True
-        if self._late is not None:
-            self._late.hold(outgoing)
+        self._hand_beside(outgoing)
         try:
             is_taken = direct.publish(outgoing)
         except aiomqtt.MqttError:
-            self._dropped += 1
+            self._count_unsent(1)
             self._direct = None  # the connection is lost, and its task about to hear of it
             return True
         if is_taken:
@@ -226,6 +230,19 @@ class MqttOutput:
         except aiomqtt.MqttError:
             return False
         return True
+
+    def _keep_late(self, frame: SkeletonFrame) -> None:
+        """Keep a pose to be sent later, where that is asked for."""
+        if self._late is not None:
+            self._late.keep(self._encoded(frame))
+
+    def _hand_beside(self, outgoing: list[Outgoing]) -> None:
+        """Hand what is about to be published to whatever else takes it: late poses, a second connection."""
+        if self._late is not None:
+            self._late.hold(outgoing)
+        if self._beside is not None and self._beside.is_free:
+            with contextlib.suppress(aiomqtt.MqttError):  # it is replaced by those who keep it
+                self._beside.publish(outgoing)
 
     def _begin_turn(self) -> None:
         self._direct_in_turn = 0
@@ -314,6 +331,7 @@ class MqttOutput:
             self.port = self._broker.port
         if self._settings.late is not None:
             self._late = LateOutlet(self._settings.late, self.topics, self.instance, self._properties)
+            self._queue.on_overflow = self._keep_late
         self._turns = BrokerTurns(self._settings, self.port)
         self._started = time.monotonic()
         self._name.begin()
@@ -326,6 +344,8 @@ class MqttOutput:
         if self._task is not None:
             if self.is_connected:
                 await asyncio.wait({self._task}, timeout=_FAREWELL_S)
+            if not self._task.done():
+                self._keep_unsent()
             await end_tasks(self._task)
             self._task = None
         if self._late is not None:
@@ -355,7 +375,11 @@ class MqttOutput:
             await self._run_main()
             return
         self._poses = ClusterConnection(
-            self._settings, self.port, self._info.gateway, on_answer=self.rights.answered
+            self._settings,
+            self.port,
+            self._info.gateway,
+            self.topics.bridge_echo,
+            on_answer=self.rights.answered,
         )
         poses = asyncio.create_task(self._run_poses(self._poses), name="poses to the cluster")
         try:
@@ -367,13 +391,23 @@ class MqttOutput:
     async def _run_poses(self, connection: ClusterConnection) -> None:
         """Publish poses alone, over connections on which nothing has to wait for the cluster to agree."""
         await self._is_announced.wait()  # or others would hear poses of a gateway that they do not know
-        confirmed = None if self._late is None else self._late.poses.confirmed
         await connection.run(
-            self._publish_poses_alone, confirmed, self._lost_poses_connection, self._stopping
+            self._publish_poses_alone,
+            self._lost_poses_connection,
+            self._stopping,
+            None if self._late is None else self._late.poses.confirmed,
+            self._publish_beside,
         )
+
+    def _publish_beside(self, client: aiomqtt.Client | None) -> None:
+        """Publish poses over a second connection too, from now on; None: no longer."""
+        self._beside = None if client is None else self._direct_publisher(client)
+        if client is not None and self._late is not None:
+            self._late.poses.connection_lost()  # nobody beyond the broker in use may have heard them
 
     async def _publish_poses_alone(self, client: aiomqtt.Client) -> None:
         self._note_connection()
+        self._beside = None
         with self._handing_over(client) as direct:
             self._direct = direct
             while not self._stopping.is_set():
@@ -382,15 +416,25 @@ class MqttOutput:
                 await self._wake.wait()
             await self._publish_queue(client, direct)
 
+    def _direct_publisher(self, client: aiomqtt.Client) -> DirectPublisher:
+        return DirectPublisher(client, has_properties=self._settings.spoken_protocol == "5")
+
     @contextlib.contextmanager
     def _handing_over(self, client: aiomqtt.Client) -> Iterator[DirectPublisher]:
         """Give what hands poses to a connection; one that is on its way at the end is counted as dropped."""
         try:
-            yield DirectPublisher(client, has_properties=self._settings.spoken_protocol == "5")
+            yield self._direct_publisher(client)
         finally:
             self._direct = None
-            self._dropped += self._in_hand
+            self._count_unsent(self._in_hand)
             self._in_hand = 0
+
+    def _count_unsent(self, poses: int) -> None:
+        """Count poses that a connection did not take; where late ones are kept, it was held."""
+        if self._late is None:
+            self._dropped += poses
+        else:
+            self._late.kept += poses
 
     def _lost_poses_connection(self, error: Exception) -> None:
         self._report_outage(error)
@@ -401,10 +445,17 @@ class MqttOutput:
         back_off = broker_back_off()
         will = aiomqtt.Will(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
         while not self._stopping.is_set():
+            if self._poses is not None and self.is_connected:
+                self._turns.use(self._poses.settings)
             settings, is_all_away = self._turns.settings, True
             try:
                 async with broker_connection(
-                    settings, settings.port, self._identifier, will, on_answer=self.rights.answered
+                    settings,
+                    settings.port,
+                    self._identifier,
+                    will,
+                    on_answer=self.rights.answered,
+                    timeout_s=TIMEOUT_S if self._poses is None else _ELECTION_S,
                 ) as client:
                     back_off.reset()
                     self._turns.succeeded()
@@ -421,9 +472,10 @@ class MqttOutput:
                 else:
                     logger.debug("%s: what is retained waits: %s", self._turns.settings.port, error)
                 is_all_away = self._turns.failed()
+                if self._poses is None:
+                    self._keep_unsent()
             if self._poses is None:
                 self.is_connected = self._queue.has_broker = False
-                self._keep_unsent()
             if is_all_away:
                 await nap(back_off.next_delay(), self._stopping)
 
@@ -431,18 +483,26 @@ class MqttOutput:
         """Return what goes on beside publishing where a silent broker is to be noticed soon."""
         parts: list[Coroutine[Any, Any, None]] = []
         if self._late is not None:
-            parts.append(self._late.send(client, lambda: self.is_connected))
+            parts.append(self._late.send(client, self._may_send_late))
             if self._poses is None:
                 parts.append(keep_asking(client, self._settings.answer_within, self._late.poses.confirmed))
         return parts
 
+    def _may_send_late(self) -> bool | None:
+        """Whether late poses are to go out now; None: over another broker, to which live ones go."""
+        if self._poses is None:
+            return self.is_connected
+        if self.is_connected and self._poses.settings != self._turns.settings:
+            return None
+        return self.is_connected and not self._poses.is_apart
+
     def _keep_unsent(self) -> None:
         """Have what waits, or may not have arrived, sent later, where that is asked for."""
-        if self._late is None or self._stopping.is_set():
+        if self._late is None:
             return
         self._late.poses.connection_lost()
         while self._queue:
-            self._late.keep(self._encoded(self._queue.take()))
+            self._keep_late(self._queue.take())
 
     async def _listen(self, client: aiomqtt.Client) -> None:
         """Until the connection ends; raises ``aiomqtt.MqttError`` when it was lost."""
@@ -557,8 +617,7 @@ class MqttOutput:
         Only QoS 1 is answered: now and then a pose goes out so, and while topics are refused no other does.
         The answer is waited for unless the one before was good.
         """
-        if self._late is not None:
-            self._late.hold(outgoing)
+        self._hand_beside(outgoing)
         is_probe = self.rights.are_reported and time.monotonic() >= self._probe_due
         if not is_probe:
             direct.publish([each for each in outgoing if each.topic not in self.rights.refused])

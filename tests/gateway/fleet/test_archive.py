@@ -23,7 +23,7 @@ from gateway.errors import GatewayError
 from gateway.fleet import solving
 from gateway.fleet.archive import Archive, ArchiveError, Partition
 from gateway.fleet.collecting import Collector
-from gateway.fleet.overview import listen
+from gateway.fleet.overview import listener
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import LateSettings, MqttSettings
 from gateway.recording import open_recording
@@ -210,11 +210,10 @@ async def test_poses_from_a_broker_are_kept(
     mosquitto: Mosquitto, pose_source: PoseSource, archive: Archive, tmp_path: Path, until: Callable[..., Any]
 ) -> None:
     settings = MqttSettings(port=mosquitto.port, late=LateSettings(folder=tmp_path / "late"))
-    collector, ready = Collector(archive, "ward2", "mocap", {}), asyncio.Event()
-    listening = asyncio.create_task(
-        listen(MqttSettings(port=mosquitto.port), collector.take, ready, with_late=True)
-    )
-    await ready.wait()
+    collector = Collector(archive, "ward2", "mocap", {})
+    receiver = listener(MqttSettings(port=mosquitto.port), collector.take)
+    listening = asyncio.create_task(receiver.run())
+    await receiver.subscribed.wait()
     output = MqttOutput(settings, pose_source.skeleton, pose_source.info())
     output.offer(pose_source.frame(0))
     async with output:
