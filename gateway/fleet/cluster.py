@@ -20,12 +20,15 @@ from typing import Self
 from devices.extras import how_to_add
 from gateway.contract.topics import Topics
 from gateway.errors import GatewayError
+from gateway.fleet.routes import CuttableRoutes
 
 NODES = 3
 READER = "overview"
 """User that may listen to all gateways, and ask them."""
 LEAF = "leaf-"
 """Beginning of the users as which nodes at sites connect; gateways there have rights at that node."""
+_NOWHERE = "127.0.0.1:1"
+"""What nodes tell others of where they are: each knows its routes, and makes no others."""
 _START_S = 20.0
 _STOP_S = 3.0
 _POLL_S = 0.05
@@ -141,7 +144,7 @@ class Node:
     def __init__(
         self, index: int, folder: Path, ports: Sequence[int], routes: Sequence[int], users: str
     ) -> None:
-        """ports: of MQTT, cluster, NATS' own clients, monitoring. routes: of all nodes' clusters."""
+        """ports: of MQTT, cluster, NATS' own clients, monitoring. routes: to the other nodes' clusters."""
         self.name = f"node{index + 1}"
         self.mqtt_port, self._cluster_port, self._client_port, self.monitor_port = ports
         self._folder = folder / self.name
@@ -154,7 +157,10 @@ port: {self._client_port}
 http: 127.0.0.1:{self.monitor_port}
 jetstream {{ store_dir: {json.dumps(str(self._folder))}, max_mem: 256MB, max_file: 1GB }}
 mqtt {{ host: 127.0.0.1, port: {self.mqtt_port} }}
-cluster {{ name: mocap, host: 127.0.0.1, port: {self._cluster_port}, no_advertise: true, routes: [{urls}] }}
+cluster {{
+  name: mocap, host: 127.0.0.1, port: {self._cluster_port}, no_advertise: true, advertise: "{_NOWHERE}"
+  routes: [{urls}]
+}}
 {users}"""
         self._config.touch(mode=0o600)
         self._config.write_text(text)
@@ -207,12 +213,23 @@ cluster {{ name: mocap, host: 127.0.0.1, port: {self._cluster_port}, no_advertis
 class Cluster:
     """Three nodes on loopback that know each other, ended on leaving."""
 
-    def __init__(self, folder: Path, passwords: Mapping[str, str] | None = None) -> None:
-        """folder: for what the servers keep. passwords: none: everybody may do everything."""
+    def __init__(
+        self, folder: Path, passwords: Mapping[str, str] | None = None, *, is_cuttable: bool = False
+    ) -> None:
+        """folder: for what the servers keep. passwords: none: everybody may do everything. is_cuttable: the
+        network between the nodes can be cut, by ``routes``."""
+        self.routes: CuttableRoutes | None = None
         ports = [free_ports(4) for _ in range(NODES)]
-        routes = [own[1] for own in ports]
+        routes = [[own[1] for own in ports]] * NODES
+        if is_cuttable:
+            self.routes = CuttableRoutes([own[1] for own in ports])
+            self.routes.start()
+            routes = [self.routes.from_node(index) for index in range(NODES)]
         users = users_config(passwords) if passwords else ""
-        self.nodes = [Node(index, folder, own, routes, users) for index, own in enumerate(ports)]
+        self.nodes = [
+            Node(index, folder, own, to_others, users)
+            for index, (own, to_others) in enumerate(zip(ports, routes, strict=True))
+        ]
 
     def addresses(self, first: int = 0) -> list[str]:
         """HOST:PORT of MQTT of all nodes, beginning with one."""
@@ -246,5 +263,7 @@ class Cluster:
         self._stop()
 
     def _stop(self) -> None:
+        if self.routes is not None:
+            self.routes.stop()
         for node in self.nodes:
             node.stop()
