@@ -37,6 +37,8 @@ fleet_app = typer.Typer(
 LOOPBACK = "127.0.0.1"
 TOKEN_VARIABLE = "MOCAP_PAGE_TOKEN"
 _REFRESH_S = 0.5
+_LAST_FLUSH_S = 600.0
+"""Longest wait for another command that changes the archive, before what was collected is given up."""
 
 Failover = Annotated[
     list[str] | None, typer.Option(metavar="HOST:PORT", help="A further node of the cluster; repeatable.")
@@ -333,10 +335,13 @@ def collect(
     settings = _at_cluster(broker, failover)
     kept = Archive(archive, is_new=True)
     collector = Collector(kept, site, settings.base_topic, read_wearers(wearers))
-    with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_for_a_while(_collect(settings, collector, flush), seconds))
-    collector.flush()
-    files = kept.renew_catalogue()
+    _end_on_sigterm()
+    with kept.collecting(site):
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(_for_a_while(_collect(settings, collector, flush), seconds))
+        with kept.locked("collect", _LAST_FLUSH_S):
+            collector.flush()
+            files = kept.renew_catalogue()
     typer.echo(
         f"{collector.rows} poses kept, {collector.repeated} were there already, "
         f"{collector.undecodable} not readable, {collector.missed} came too fast to be kept; {files} files"
@@ -344,12 +349,17 @@ def collect(
 
 
 async def _collect(settings: MqttSettings, collector: Collector, flush_s: float) -> None:
+    from gateway.fleet.archive import ArchiveError
     from gateway.fleet.overview import listener
 
     async def write() -> None:
         while True:
             await asyncio.sleep(flush_s)
-            collector.flush()
+            try:
+                with collector.archive.locked("collect"):
+                    collector.flush()
+            except ArchiveError as error:
+                typer.echo(f"{error}; poses are written when that is done", err=True)
 
     receiver = listener(settings, collector.take)
     writing = asyncio.ensure_future(write())
@@ -374,10 +384,12 @@ def add(
     from gateway.recording import open_recording
 
     kept = Archive(archive, is_new=True)
-    for path in recordings:
-        _, rows = kept.add(open_recording(path), path, site, wearer)
-        typer.echo(f"{path}: {f'{rows} poses' if rows else 'no new poses'}, wearer {kept.pseudonym(wearer)}")
-    kept.renew_catalogue()
+    with kept.locked("add"):
+        for path in recordings:
+            _, rows = kept.add(open_recording(path), path, site, wearer)
+            told = f"{rows} poses" if rows else "no new poses"
+            typer.echo(f"{path}: {told}, wearer {kept.pseudonym(wearer)}")
+        kept.renew_catalogue()
 
 
 @archive_app.command("list", epilog="Example: mocap-gateway fleet archive list --archive clinic")
@@ -432,14 +444,15 @@ def solve(
     check_method(method)
     kept = Archive(archive)
     jobs, outcomes = jobs_of(kept, method), list[Solved]()
-    with progress_bar("solving") as tell:
+    with kept.locked("solve"):
+        with progress_bar("solving") as tell:
 
-        def done(outcome: Solved) -> None:
-            outcomes.append(outcome)
-            tell(len(outcomes), len(jobs))
+            def done(outcome: Solved) -> None:
+                outcomes.append(outcome)
+                tell(len(outcomes), len(jobs))
 
-        run(jobs, done, workers, dask)
-    kept.renew_catalogue()
+            run(jobs, done, workers, dask)
+        kept.renew_catalogue()
     failed = [outcome for outcome in outcomes if outcome.error is not None]
     typer.echo(
         f"{sum(outcome.rows > 0 for outcome in outcomes)} recordings solved, "
@@ -463,7 +476,8 @@ def forget(
     kept = Archive(archive)
     if not yes:
         typer.confirm(f"Delete all that {archive} keeps of {wearer} ({kept.pseudonym(wearer)})?", abort=True)
-    files, left = kept.forget(wearer)
+    with kept.nobody_collects(), kept.locked("forget"):
+        files, left = kept.forget(wearer)
     typer.echo(f"{files} files deleted; {left} files still hold the name or the pseudonym")
     for path in kept.traces(wearer) if left else ():
         typer.echo(f"  {path}", err=True)
@@ -481,5 +495,7 @@ def expire(
     """Delete all of the days before one: retention, to be called once a day."""
     from gateway.fleet.archive import Archive
 
-    files = Archive(archive).expire(before.strftime("%Y-%m-%d"))
+    kept = Archive(archive)
+    with kept.locked("expire"):
+        files = kept.expire(before.strftime("%Y-%m-%d"))
     typer.echo(f"{files} files deleted")
