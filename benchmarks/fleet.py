@@ -84,7 +84,7 @@ class Heard:
         """Of each gateway since an instant, s."""
         found = []
         for instants in self.arrivals.values():
-            recent = [since_s, *(each for each in instants if each >= since_s)]
+            recent = [since_s, *(each for each in instants if each >= since_s), time.monotonic()]
             found.append(max((b - a for a, b in itertools.pairwise(recent)), default=0.0))
         return found
 

@@ -135,6 +135,45 @@ def users(
     typer.echo(f"{output / 'users.conf'}: {len(names)} users, passwords in {output / 'passwords'}")
 
 
+@fleet_app.command(
+    epilog="Example: mocap-gateway fleet configure gw001 gw002 --set recording.rotate_minutes=30 --apply"
+)
+@with_broker
+def configure(
+    gateways: Annotated[list[str], typer.Argument(help="Names of the gateways.")],
+    broker: BrokerChoice,
+    given: Annotated[
+        list[str],
+        typer.Option("--set", metavar="NAME=VALUE", help="A setting; null: as the gateway's file says."),
+    ],
+    failover: Failover = None,
+    apply: Annotated[
+        bool, typer.Option("--apply", help="Take them into use; else the differences are shown alone.")
+    ] = False,
+    within: Annotated[
+        float, typer.Option(min=5, max=600, help="A gateway that is not back after so long goes back, s.")
+    ] = 60,
+) -> None:
+    """Push settings to gateways whose configuration allows it (allow_configuration).
+
+    Shows what would change. With --apply one gateway after another takes them into use, and is asked whether
+    it is back and publishes; the first that is not ends the command, and goes back by itself.
+    """
+    from gateway.fleet.configuring import differences, push, settings_of
+
+    settings, wanted = _at_cluster(broker, failover), settings_of(given)
+    for name in gateways:
+        for each in asyncio.run(differences(settings, name, wanted)):
+            values = json.dumps(each["before"]), json.dumps(each["after"])
+            typer.echo(printable(f"{name}: {each['setting']}: {values[0]} → {values[1]}"))
+    if not apply:
+        typer.echo("nothing was changed: --apply does it")
+        return
+    for name in gateways:
+        is_changed = asyncio.run(push(settings, name, wanted, within))
+        typer.echo(f"{name}: {'taken into use and confirmed' if is_changed else 'as it was'}")
+
+
 def _end_on_sigterm() -> None:
     """Have SIGTERM end the command as Ctrl-C does: with all processes that it has started."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)

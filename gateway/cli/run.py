@@ -43,7 +43,9 @@ def run(
     """
     from gateway.body.rig import load_rig
     from gateway.service import readiness
+    from gateway.service.remote_configuration import go_back_if_unconfirmed
 
+    go_back_if_unconfirmed(config)
     configured = load_gateway_settings(config)
     suit = load_rig(configured.rig, config)
     wanted = fitting_suit(configured, suit).reconstructor
@@ -84,7 +86,10 @@ class _Supervisor:
 
     def __init__(self, config: Path, service: Service, to_compile: str | None = None) -> None:
         """to_compile: a method that must be compiled before the configured service can take over."""
+        from gateway.service.remote_configuration import RemoteConfiguration
+
         self._config = config
+        self._remote = RemoteConfiguration(config, self._read_anew)
         self._to_compile = to_compile
         self._service = service
         self._task: asyncio.Task[None] | None = None
@@ -143,6 +148,8 @@ class _Supervisor:
         service.own_requests.on_reload = self._read_anew
         service.own_requests.on_examine = partial(examined, service)
         service.own_requests.on_connect = PortChoice(self._config, service, self._read_anew).connect
+        service.own_requests.on_configure = self._remote.configure
+        service.own_requests.on_confirm = self._remote.confirm
         self._task = asyncio.ensure_future(service.run())
         notify("READY=1", f"STATUS=publishing, configuration {self._config}")
         try:

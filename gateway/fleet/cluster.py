@@ -25,6 +25,8 @@ from gateway.fleet.routes import CuttableRoutes
 NODES = 3
 READER = "overview"
 """User that may listen to all gateways, and ask them."""
+OPERATOR = "operator"
+"""User that may also change the settings of gateways which allow it."""
 LEAF = "leaf-"
 """Beginning of the users as which nodes at sites connect; gateways there have rights at that node."""
 _NOWHERE = "127.0.0.1:1"
@@ -42,8 +44,8 @@ def subject_of(topic: str) -> str:
 def users_config(passwords: Mapping[str, str], base_topic: str = "mocap") -> str:
     """Return the users of a cluster as its configuration wants them.
 
-    passwords: by name of the gateway, ``READER``, or ``LEAF`` and the name of a site. A gateway may publish
-    below its own name alone, and read what others publish and ask there.
+    passwords: by name of the gateway, ``READER``, ``OPERATOR``, or ``LEAF`` and the name of a site. A
+    gateway may publish below its own name alone, and read what others publish and ask there.
     Raises ``ValueError`` for a name that cannot stand in a topic.
     """
     users = [_user(name, password, base_topic) for name, password in passwords.items()]
@@ -53,9 +55,15 @@ def users_config(passwords: Mapping[str, str], base_topic: str = "mocap") -> str
 def _user(name: str, password: str, base_topic: str) -> str:
     if name.startswith(LEAF):
         return f"{{user: {json.dumps(name)}, password: {json.dumps(password)}}}"
-    if name == READER:
-        # It asks and is answered; poses it cannot make.
+    deny: list[str] = []
+    if name in (READER, OPERATOR):
+        # They ask and are answered; poses they cannot make.
         publish = [subject_of(f"{base_topic}/*/bridge/{below}/>") for below in ("request", "echo")]
+        if name == READER:
+            deny = [
+                subject_of(f"{base_topic}/*/bridge/request/gateway/{verb}")
+                for verb in ("configure", "confirm")
+            ]
         # With the level above, for the filter <base_topic>/# means that as well.
         subscribe = [subject_of(base_topic), subject_of(f"{base_topic}/>")]
     else:
@@ -63,7 +71,7 @@ def _user(name: str, password: str, base_topic: str) -> str:
         publish, subscribe = [f"{root}.>"], [f"{root}.bridge.>"]
     # What the server does for MQTT on behalf of a user: QoS 1 to its own subscriptions.
     subscribe.append("$MQTT.sub.>")
-    rights = {"publish": {"allow": publish}, "subscribe": {"allow": subscribe}}
+    rights = {"publish": {"allow": publish, "deny": deny}, "subscribe": {"allow": subscribe}}
     return (
         f"{{user: {json.dumps(name)}, password: {json.dumps(password)}, permissions: {json.dumps(rights)}}}"
     )
@@ -79,8 +87,8 @@ def _is_ready(node: Node) -> bool:
 
 
 def new_passwords(gateways: Iterable[str]) -> dict[str, str]:
-    """Return a password for each gateway and for ``READER``."""
-    return {name: secrets.token_urlsafe(18) for name in (READER, *gateways)}
+    """Return a password for each gateway, for ``READER`` and for ``OPERATOR``."""
+    return {name: secrets.token_urlsafe(18) for name in (READER, OPERATOR, *gateways)}
 
 
 def write_users(
@@ -92,10 +100,10 @@ def write_users(
     not. Returns the names of all users. Raises
     ``GatewayError`` for a name that cannot stand in a topic.
     """
-    taken = [name for name in gateways if name == READER or name.startswith(LEAF)]
+    taken = [name for name in gateways if name in (READER, OPERATOR) or name.startswith(LEAF)]
     if taken:
         raise GatewayError(
-            f"a gateway cannot be named '{taken[0]}': {READER} and {LEAF}… are users of their own"
+            f"a gateway cannot be named '{taken[0]}': {READER}, {OPERATOR} and {LEAF}… are users of their own"
         )
     gateways = [*gateways, *(f"{LEAF}{site}" for site in sites)]
     secrets_folder = folder / "passwords"
@@ -156,7 +164,7 @@ host: 127.0.0.1
 port: {self._client_port}
 http: 127.0.0.1:{self.monitor_port}
 jetstream {{ store_dir: {json.dumps(str(self._folder))}, max_mem: 256MB, max_file: 1GB }}
-mqtt {{ host: 127.0.0.1, port: {self.mqtt_port} }}
+mqtt {{ host: 127.0.0.1, port: {self.mqtt_port}, stream_replicas: {NODES} }}
 cluster {{
   name: mocap, host: 127.0.0.1, port: {self._cluster_port}, no_advertise: true, advertise: "{_NOWHERE}"
   routes: [{urls}]

@@ -241,7 +241,7 @@ def listener(settings: MqttSettings, take: Take) -> Receiver:
     own = Topics(settings.base_topic, ANY_GATEWAY)
     passing = [own.pose, own.late_pose, own.bridge_health]
     kept = [own.bridge_state, own.bridge_info, own.body, f"{own.root}/module/+/state"]
-    return Receiver(settings, "fleet", passing, kept, take, MOST_WAITING)
+    return Receiver(settings, "fleet", passing, kept, take, MOST_WAITING, reads_both=False)
 
 
 def take_into(fleet: Fleet) -> Take:

@@ -19,6 +19,7 @@ import secrets
 import time
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import AsyncExitStack
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import aiomqtt
@@ -52,6 +53,11 @@ class BrokerTurns:
     def settings(self) -> MqttSettings:
         """Those of the address in use; its ``failover`` is that of the configuration."""
         return self._doors[self._turn]
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether the address before has failed, and no other one has let us in since."""
+        return self._failed > 0
 
     def succeeded(self) -> None:
         """Note that the address in use has let us in: it stays in use."""
@@ -118,12 +124,27 @@ Confirm = Callable[[float], None]
 """Told an instant (``time.monotonic()``, s): what was published before has reached the brokers."""
 
 
+@dataclass(frozen=True)
+class Companions:
+    """What a user of a cluster wants to hear of, beside the connection in use."""
+
+    confirm: Confirm | None = None
+    """Told what has reached the other node; without echoes, what the node in use has read."""
+    prepare: Callable[[aiomqtt.Client], Coroutine[Any, Any, None]] | None = None
+    """Subscribes on a connection that is to stand by."""
+    beside: Callable[[aiomqtt.Client | None], None] | None = None
+    """Given the connection that stands by when the nodes are apart, and None when they are no longer. When a
+    connection is lost, nothing is beside it."""
+    take: Callable[[aiomqtt.Message], None] | None = None
+    """Given what is heard on the connection that stands by."""
+
+
 class ClusterConnection:
     """A connection to one node of a cluster, and one to another that stands by. Belongs to one event loop.
 
     Each node may answer while they do not hear each other: then what is published at one is heard there
     alone. So an echo is published at the node in use and listened for at the other. Where it stays away the
-    nodes are apart, and both connections are to be used until it is heard again: see ``beside``. Nothing is
+    nodes are apart, and both connections are to be used until it is heard again. Nothing is
     subscribed to or given up when a node is lost: a cluster without a leader keeps such a request, and all
     that comes after it, waiting.
     """
@@ -157,16 +178,11 @@ class ClusterConnection:
         use: Callable[[aiomqtt.Client], Coroutine[Any, Any, None]],
         lost: Callable[[Exception], None],
         stopping: asyncio.Event,
-        confirm: Confirm | None = None,
-        beside: Callable[[aiomqtt.Client | None], None] | None = None,
-        take: Callable[[aiomqtt.Message], None] | None = None,
+        companions: Companions = Companions(),
     ) -> None:
         """Call ``use`` with a connection, again with another one when that is lost, until it is stopping.
 
-        lost: told why a connection was lost, or could not be made. confirm: told what has reached the other
-        node; without echoes, what the node in use has read. beside: given the connection that stands by when
-        the nodes are apart, and None when they are no longer; when a connection is lost, nothing is beside
-        it. take: given what is heard on the one that stands by.
+        lost: told why a connection was lost, or could not be made.
         """
         back_off = broker_back_off()
         try:
@@ -177,8 +193,7 @@ class ClusterConnection:
                     back_off.reset()
                     self._turns.succeeded()
                     async with stack:
-                        companions = self._companions(client, confirm, beside, take)
-                        await first_to_end(use(client), *companions)
+                        await first_to_end(use(client), *self._companions(client, companions))
                 except Exception as error:
                     lost(error)
                     is_all_away = self._turns.failed()
@@ -188,24 +203,18 @@ class ClusterConnection:
             if self._ready is not None:
                 await self._ready.stack.aclose()
 
-    def _companions(
-        self,
-        client: aiomqtt.Client,
-        confirm: Confirm | None,
-        beside: Callable[[aiomqtt.Client | None], None] | None,
-        take: Callable[[aiomqtt.Message], None] | None,
-    ) -> list[Coroutine[Any, Any, None]]:
+    def _companions(self, client: aiomqtt.Client, of: Companions) -> list[Coroutine[Any, Any, None]]:
         """Return what goes on while a connection is in use."""
         if not self._is_watched:
             return []
 
         def read(asked_s: float) -> None:
-            if confirm is not None and not self._is_echo_heard:
-                confirm(asked_s)
+            if of.confirm is not None and not self._is_echo_heard:
+                of.confirm(asked_s)
 
         parts = [keep_asking(client, self._within_s, read)]
         if self._turns.others():
-            parts.append(self._keep_one_ready(client, confirm, beside, take))
+            parts.append(self._keep_one_ready(client, of))
         return parts
 
     def _take(self) -> _Ready | None:
@@ -221,13 +230,7 @@ class ClusterConnection:
         opening = broker_connection(settings, settings.port, unique_identifier(self._role), **self._options)
         return _Ready(await stack.enter_async_context(opening), stack, settings)
 
-    async def _keep_one_ready(
-        self,
-        used: aiomqtt.Client,
-        confirm: Confirm | None,
-        beside: Callable[[aiomqtt.Client | None], None] | None,
-        take: Callable[[aiomqtt.Message], None] | None,
-    ) -> None:
+    async def _keep_one_ready(self, used: aiomqtt.Client, of: Companions) -> None:
         """Keep a connection to the next address, for ever; cancelled, it leaves it as it is."""
         back_off = broker_back_off()
         try:
@@ -237,7 +240,7 @@ class ClusterConnection:
                     back_off.reset()
                     await first_to_end(
                         keep_asking(ready.client, self._within_s),
-                        self._compare(used, ready, confirm, beside, take),
+                        self._compare(used, ready, of),
                     )
                 except Exception as error:
                     if self._ready is not None:
@@ -248,14 +251,7 @@ class ClusterConnection:
         finally:
             self.is_apart = False
 
-    async def _compare(
-        self,
-        used: aiomqtt.Client,
-        ready: _Ready,
-        confirm: Confirm | None,
-        beside: Callable[[aiomqtt.Client | None], None] | None,
-        take: Callable[[aiomqtt.Message], None] | None,
-    ) -> None:
+    async def _compare(self, used: aiomqtt.Client, ready: _Ready, of: Companions) -> None:
         """Find out time and again whether two nodes hear each other."""
 
         def told(is_heard: bool) -> None:
@@ -267,12 +263,14 @@ class ClusterConnection:
             here, there = self.settings, ready.settings
             places = here.host, here.port, there.host, there.port
             _log.warning("%s: the brokers at %s:%d and %s:%d %s", self._role, *places, state)
-            if beside is not None:
-                beside(None if is_heard else ready.client)
+            if of.beside is not None:
+                of.beside(None if is_heard else ready.client)
 
-        echo = _Echo(f"{self._echo_topic}/{secrets.token_hex(4)}", told, confirm)
+        echo = _Echo(f"{self._echo_topic}/{secrets.token_hex(4)}", told, of.confirm)
         await ready.client.subscribe(echo.topic)
-        await first_to_end(echo.listen(ready.client, take), echo.say(used, self._within_s))
+        if of.prepare is not None:
+            await of.prepare(ready.client)
+        await first_to_end(echo.listen(ready.client, of.take), echo.say(used, self._within_s))
 
 
 class _Echo:

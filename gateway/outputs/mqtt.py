@@ -51,7 +51,7 @@ from gateway.outputs.connection import (
     unique_identifier,
 )
 from gateway.outputs.direct_publishing import DirectPublisher
-from gateway.outputs.failover import BrokerTurns, ClusterConnection, keep_asking
+from gateway.outputs.failover import BrokerTurns, ClusterConnection, Companions, keep_asking
 from gateway.outputs.home_assistant import discovery
 from gateway.outputs.late_poses import LateOutlet
 from gateway.outputs.output import Thinning
@@ -395,8 +395,9 @@ class MqttOutput:
             self._publish_poses_alone,
             self._lost_poses_connection,
             self._stopping,
-            None if self._late is None else self._late.poses.confirmed,
-            self._publish_beside,
+            Companions(
+                None if self._late is None else self._late.poses.confirmed, beside=self._publish_beside
+            ),
         )
 
     def _publish_beside(self, client: aiomqtt.Client | None) -> None:
@@ -445,7 +446,7 @@ class MqttOutput:
         back_off = broker_back_off()
         will = aiomqtt.Will(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
         while not self._stopping.is_set():
-            if self._poses is not None and self.is_connected:
+            if self._poses is not None and self.is_connected and not self._turns.has_failed:
                 self._turns.use(self._poses.settings)
             settings, is_all_away = self._turns.settings, True
             try:

@@ -11,7 +11,7 @@ import aiomqtt
 from gateway.contract.topics import Topics
 from gateway.errors import GatewayError
 from gateway.outputs.connection import MOST_MESSAGES, explain, first_to_end, unique_identifier
-from gateway.outputs.failover import ClusterConnection, follow_kept
+from gateway.outputs.failover import ClusterConnection, Companions, follow_kept
 from gateway.outputs.settings import MqttSettings
 
 _log = logging.getLogger(__name__)
@@ -35,9 +35,14 @@ class Receiver:
         kept: Sequence[str],
         take: Callable[[aiomqtt.Message], None],
         most_messages: int = MOST_MESSAGES,
+        *,
+        reads_both: bool = True,
     ) -> None:
         """role: part of client identifiers. passing, kept: filters of what is published, and of what is
-        retained. most_messages: so many wait to be read; then they are dropped, and counted."""
+        retained. most_messages: so many wait to be read; then they are dropped, and counted. reads_both: two
+        nodes of a cluster are read all the time, which is twice as much, and nothing is missed for long when
+        one dies; else the second is subscribed to when it is needed, which a cluster that chooses a leader
+        lets wait for some seconds."""
         self.is_connected = False
         self.subscribed = asyncio.Event()
         """Set for good once messages come in."""
@@ -47,6 +52,9 @@ class Receiver:
         self._role = role
         self._passing, self._kept = passing, kept
         self._take_message = take
+        self._reads_both = reads_both
+        self._subscribed: aiomqtt.Client | None = None
+        """Connection that stood by, on which all that passes is subscribed to."""
         self._refused = 0
         # Not the client_id of the settings: that is the gateway's own.
         self._echo = Topics(settings.base_topic, unique_identifier(role)).bridge_echo
@@ -59,11 +67,14 @@ class Receiver:
     async def run(self) -> None:
         """Receive for ever; a connection that is lost is made again, at another node where there is one.
 
-        While two nodes of a cluster do not hear each other both are read: a message may come twice then.
+        A message may come twice where two nodes of a cluster are read.
         Raises ``BrokerUnreachableError`` when no address lets us in at first.
         """
         receiving = self._connection.run(
-            self._use, self._note_lost, asyncio.Event(), beside=self._use_beside, take=self._take
+            self._use,
+            self._note_lost,
+            asyncio.Event(),
+            Companions(prepare=self._prepare, beside=self._use_beside, take=self._take),
         )
         parts = [receiving, self._until_unreachable()]
         if self._settings.failover:
@@ -78,7 +89,8 @@ class Receiver:
         filters = [(topic, 0) for topic in self._passing]
         if not self._settings.failover:
             filters += [(topic, 1) for topic in self._kept]
-        await client.subscribe(filters)
+        if client is not self._subscribed:
+            await client.subscribe(filters)
         self.is_connected = True
         self.subscribed.set()
         count = 0
@@ -91,12 +103,21 @@ class Receiver:
                 if count % _A_TURN == 0:
                     await asyncio.sleep(0)
 
+    async def _prepare(self, client: aiomqtt.Client) -> None:
+        self._subscribed = None
+        if self._reads_both:
+            await client.subscribe([(topic, 0) for topic in self._passing])
+            self._subscribed = client
+
     def _use_beside(self, client: aiomqtt.Client | None) -> None:
-        """Read another node too; what comes there goes to ``_take``, as long as the nodes are apart."""
+        """Read another node too, as long as the nodes are apart."""
+        if self._reads_both:
+            return
         if client is not None:
             client._client.subscribe([(topic, 0) for topic in self._passing])
         elif self._connection.standby is not None:
             self._connection.standby._client.unsubscribe(list(self._passing))
+        self._subscribed = client
 
     def _take(self, message: aiomqtt.Message) -> None:
         if not message.topic.value.startswith(self._echo):

@@ -52,7 +52,7 @@ def test_the_compose_file_has_the_nodes_that_the_configuration_names():
 def test_users_keep_their_passwords_which_only_their_owner_may_read(tmp_path: Path):
     cluster.write_users(tmp_path, ["gw001"])
     before = (tmp_path / "passwords" / "gw001").read_text()
-    assert cluster.write_users(tmp_path, ["gw002"]) == ["gw001", "gw002", "overview"]
+    assert cluster.write_users(tmp_path, ["gw002"]) == ["gw001", "gw002", "operator", "overview"]
     assert (tmp_path / "passwords" / "gw001").read_text() == before
     for path in (tmp_path / "users.conf", *(tmp_path / "passwords").iterdir()):
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
@@ -63,7 +63,7 @@ def test_a_name_that_cannot_stand_in_a_topic_is_refused(tmp_path: Path):
         cluster.write_users(tmp_path, ["gw/1"])
 
 
-@pytest.mark.parametrize("name", ["overview", "leaf-ward"])
+@pytest.mark.parametrize("name", ["overview", "operator", "leaf-ward"])
 def test_a_gateway_cannot_have_the_name_of_another_kind_of_user(tmp_path: Path, name: str):
     with pytest.raises(GatewayError, match="are users of their own"):
         cluster.write_users(tmp_path, [name], sites=["ward"])
