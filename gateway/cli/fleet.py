@@ -140,8 +140,8 @@ def users(
 )
 @with_broker
 def configure(
-    gateways: Annotated[list[str], typer.Argument(help="Names of the gateways.")],
     broker: BrokerChoice,
+    gateways: Annotated[list[str], typer.Argument(help="Names of the gateways.")],
     given: Annotated[
         list[str],
         typer.Option("--set", metavar="NAME=VALUE", help="A setting; null: as the gateway's file says."),

@@ -276,7 +276,7 @@ class ClusterConnection:
 class _Echo:
     """A message that is published at one node, and listened for at another."""
 
-    MISSED = 5
+    MISSED = 3
     """In a row, after which it stays away. Our own pauses cost one."""
     REMEMBERED = 100
 
