@@ -144,9 +144,9 @@ class ClusterConnection:
 
     Each node may answer while they do not hear each other: then what is published at one is heard there
     alone. So an echo is published at the node in use and listened for at the other. Where it stays away the
-    nodes are apart, and both connections are to be used until it is heard again. Nothing is
-    subscribed to or given up when a node is lost: a cluster without a leader keeps such a request, and all
-    that comes after it, waiting.
+    nodes are apart, and both connections are to be used until it is heard again. Nothing is subscribed to or
+    given up when a node is lost: a cluster without a leader keeps such a request, and all that comes after
+    it, waiting.
     """
 
     def __init__(self, settings: MqttSettings, port: int, role: str, echo: str, **options: Any) -> None:
