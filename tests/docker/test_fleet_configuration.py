@@ -37,7 +37,7 @@ def server() -> str:
 def test_the_server_takes_the_shipped_configuration(server: str, tmp_path: Path, name: str):
     cluster.write_users(tmp_path, ["gw001", "gw.2"])
     (tmp_path / name).write_text((FOLDER / name).read_text().replace("/data", str(tmp_path)))
-    environment = os.environ | {"NODE": "node1", "LEAF_USER": "overview", "LEAF_PASSWORD": "x"}
+    environment = os.environ | {"NODE": "node1", "LEAF_URL": "nats://leaf-ward2:x@node1:7422"}
     told = subprocess.run(
         [server, "-t", "-c", str(tmp_path / name)],
         env=environment,
@@ -110,16 +110,15 @@ class Shipped:
         text = (FOLDER / shipped).read_text().replace("/data", str(own))
         for what, port in INSIDE.items():
             text = re.sub(
-                rf"@?(node\d):{port}\b",
-                lambda found, what=what: (
-                    f"{'@' * found[0].startswith('@')}127.0.0.1:{self.ports[found[1]][what]}"
-                ),
+                rf"(node\d):{port}\b",
+                lambda found, what=what: f"127.0.0.1:{self.ports[found[1]][what]}",
                 text,
             )
             text = re.sub(rf"\b{port}\b", str(self.ports[name][what]), text)
         (own / "nats.conf").write_text(text)
         password = (self._folder / "passwords" / "leaf-ward2").read_text().strip()
-        environment = {"NODE": name, "LEAF_USER": "leaf-ward2", "LEAF_PASSWORD": password}
+        leaf = f"nats://leaf-ward2:{password}@127.0.0.1:{self.ports['node1']['leaves']}"
+        environment = {"NODE": name, "LEAF_URL": leaf}
         with (own / "log").open("wb") as log:
             return subprocess.Popen(
                 [self._server, "-c", str(own / "nats.conf")],
