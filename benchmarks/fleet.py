@@ -23,7 +23,7 @@ from benchmarks.figures import Figure, Report, table
 from gateway.contract import topics
 from gateway.fleet.cluster import NODES, READER, Node
 from gateway.fleet.demonstration import DemoFleet, Wanted
-from gateway.fleet.overview import Fleet, listen, take_into
+from gateway.fleet.overview import Fleet, listener, take_into
 from gateway.outputs.connection import broker_connection, unique_identifier
 
 GATEWAYS = int(os.environ.get("FLEET_GATEWAYS", "100"))
@@ -34,7 +34,7 @@ HELD = 0.97
 _LONGEST_START_S = 90.0
 SETTLE_S = 4.0
 STEADY_S = 8.0
-AWAY_S = 10.0
+AWAY_S = 8.0
 SUIT_HZ = 100.0
 SUIT_BYTES = 1600
 _DAY_S = 8 * 3600
@@ -42,26 +42,34 @@ _DAY_S = 8 * 3600
 
 @dataclass
 class Heard:
-    """Everything that came, by gateway."""
+    """Every pose that came, by gateway: live ones as the overview counts them."""
 
     fleet: Fleet
     live: dict[str, set[int]] = field(default_factory=dict)
     late: dict[str, set[int]] = field(default_factory=dict)
     arrivals: dict[str, list[float]] = field(default_factory=dict)
     repeated: int = 0
-    """Live poses whose number had come live already."""
+    """Poses that were counted as live though their number had been."""
+    overflowed: int = 0
+    """Messages that came faster than the reader took them."""
 
     def take(self, message: aiomqtt.Message) -> None:
         """For ``listen``."""
-        take_into(self.fleet)(message)
         name, _, below = message.topic.value.partition("/")[2].partition("/")
-        if below == topics.POSE:
+        before = self._counted(name)
+        take_into(self.fleet)(message)
+        if below == topics.POSE and self._counted(name) > before:
             numbers, seq = self.live.setdefault(name, set()), _seq(message.payload)
             self.repeated += seq in numbers
             numbers.add(seq)
             self.arrivals.setdefault(name, []).append(time.monotonic())
         elif below == topics.LATE_POSE:
             self.late.setdefault(name, set()).add(_seq(message.payload))
+
+    def _counted(self, name: str) -> int:
+        """Return how many live poses of a gateway the overview has counted."""
+        seen = self.fleet.gateways.get(name)
+        return 0 if seen is None else seen.received
 
     def missing(self) -> tuple[int, int]:
         """Poses between the first and the last live one that did not come live, and not late either."""
@@ -76,7 +84,7 @@ class Heard:
         """Of each gateway since an instant, s."""
         found = []
         for instants in self.arrivals.values():
-            recent = [since_s, *(each for each in instants if each >= since_s)]
+            recent = [since_s, *(each for each in instants if each >= since_s), time.monotonic()]
             found.append(max((b - a for a, b in itertools.pairwise(recent)), default=0.0))
         return found
 
@@ -179,12 +187,13 @@ def _processor_s(pids: list[int]) -> float:
 @contextlib.asynccontextmanager
 async def _listening(fleet: DemoFleet, heard: Heard) -> AsyncIterator[None]:
     """Have a reader hear all, for as long as the block lasts."""
-    ready = asyncio.Event()
-    task = asyncio.create_task(listen(fleet.settings(READER, 1), heard.take, ready, with_late=True))
-    await ready.wait()
+    receiver = listener(fleet.settings(READER, 1), heard.take)
+    task = asyncio.create_task(receiver.run())
+    await receiver.subscribed.wait()
     try:
         yield
     finally:
+        heard.overflowed += receiver.dropped
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
 
@@ -192,7 +201,8 @@ async def _listening(fleet: DemoFleet, heard: Heard) -> AsyncIterator[None]:
 def _failures(report: Report, rate_hz: float) -> None:
     rows: list[list[str]] = []
     load = os.getloadavg()[0]
-    with tempfile.TemporaryDirectory() as folder, DemoFleet(Path(folder), Wanted(GATEWAYS, rate_hz)) as fleet:
+    wanted = Wanted(GATEWAYS, rate_hz, is_cuttable=True)
+    with tempfile.TemporaryDirectory() as folder, DemoFleet(Path(folder), wanted) as fleet:
         worst, heard, unheard, right = asyncio.run(_broken(fleet, rows))
         died = asyncio.run(_a_process_dies(fleet))
     live, _ = heard.missing()
@@ -207,7 +217,8 @@ def _failures(report: Report, rate_hz: float) -> None:
     ]
     note = f"{GATEWAYS} gateways at {rate_hz:g} Hz; load before {load:.1f}"
     report.tables.append(
-        f"## A node fails\n\n{note}. A reader whose own node dies misses what was on its way to it: it "
+        f"## A node fails\n\n{note}. One node is killed, frozen, cut off from the others (its gateways and "
+        "readers reach it still), slow. A reader whose own node dies misses what was on its way to it: it "
         "comes by QoS 0, and its gateways know nothing of it.\n\n" + table(heads, rows)
     )
     total = sum(len(numbers) for numbers in heard.live.values())
@@ -219,6 +230,15 @@ def _failures(report: Report, rate_hz: float) -> None:
         Figure(
             "fleet_recover_frozen", worst["frozen"], "s", "<=2", "the same, node silent, connections open"
         ),
+        Figure("fleet_recover_cut", worst["cut off"], "s", "<=2", "the same, node cut off from the others"),
+        Figure("fleet_recover_slow", worst["slow"], "s", "<=2", "the same, node halted for half of the time"),
+        Figure(
+            "fleet_recover_reader_cut",
+            worst["the reader's own cut off"],
+            "s",
+            "",
+            "the reader's node cut off: it must subscribe at another one, while the cluster chooses a leader",
+        ),
         Figure("fleet_missing_live", float(live), "poses", "", f"of {total}, all failures together"),
         Figure(
             "fleet_missing_for_ever",
@@ -229,11 +249,14 @@ def _failures(report: Report, rate_hz: float) -> None:
         ),
         Figure("fleet_counted_twice", float(heard.repeated), "poses", "<=0", "live poses of one number"),
         Figure(
+            "fleet_reader_overflowed", float(heard.overflowed), "messages", "<=0", "too fast for the reader"
+        ),
+        Figure(
             "fleet_overtaken",
             float(overtaken),
             "poses",
             "",
-            "live, out of a node that thawed",
+            "live, after newer ones or twice, from a node that thawed or was cut off: left out",
         ),
         Figure(
             "fleet_live_and_late", float(both), "poses", "", "late ones whose number came live: told by seq"
@@ -268,19 +291,27 @@ async def _broken(fleet: DemoFleet, rows: list[list[str]]) -> tuple[dict[str, fl
     async with _listening(fleet, heard):
         await _until_all_are_heard(heard)
         await act_and_count("nothing, for comparison", lambda: None, STEADY_S)
+        # First of all: gateways leave a node that dies, and one without gateways is not missed.
+        assert fleet.cluster.routes is not None
+        routes = fleet.cluster.routes
+        await act_and_count("cut off, from the other nodes", lambda: routes.cut(0), AWAY_S)
+        await act_and_count("mended", routes.mend, AWAY_S)
+        slow = threading.Thread(target=_slow, args=(first, AWAY_S))
+        await act_and_count("slow, halted for 0.2 s of every 0.4 s", slow.start, AWAY_S)
+        await asyncio.to_thread(slow.join)
         await act_and_count("killed, with SIGKILL", first.kill, AWAY_S)
         await act_and_count("brought back", first.start, AWAY_S)
         await act_and_count(
             "frozen, as behind a cut cable", lambda: os.kill(last.pid, signal.SIGSTOP), AWAY_S
         )
         await act_and_count("thawed", lambda: os.kill(last.pid, signal.SIGCONT), AWAY_S)
-        slow = threading.Thread(target=_slow, args=(first, AWAY_S))
-        await act_and_count("slow, halted for 0.2 s of every 0.4 s", slow.start, AWAY_S)
-        await asyncio.to_thread(slow.join)
         await act_and_count("nothing, for what is late", lambda: None, AWAY_S)
         _, unheard = heard.missing()
         await act_and_count("the reader's own killed", readers.kill, AWAY_S)
         await act_and_count("the reader's own brought back", readers.start, AWAY_S)
+        there = fleet.cluster.nodes.index(readers)
+        await act_and_count("the reader's own cut off", lambda: routes.cut(there), AWAY_S)
+        await act_and_count("the reader's own mended", routes.mend, AWAY_S)
     wrong = 0
     for first in range(NODES):
         kept = await _retained(fleet, first)

@@ -40,7 +40,7 @@ from gateway.sources.makers import OthersLinkSettings
 from gateway.sources.registry import SOURCES, refuse_unsuited
 from gateway.support.credentials import AccessToken, token_for
 from gateway.support.log_format import LogFormat
-from gateway.support.settings_files import load_settings
+from gateway.support.settings_files import load_settings, load_yaml
 
 METRICS_TOKEN_VARIABLE = "MOCAP_METRICS_TOKEN"
 """Environment variable that may hold the token of metrics and health."""
@@ -297,6 +297,18 @@ class LogSettings(_Strict):
     )
 
 
+PushedSection = Literal[
+    "assembly",
+    "log",
+    "modules",
+    "reconstructor",
+    "reconstructor_delay_ms",
+    "recording",
+    "root_motion",
+]
+"""What others may be allowed to change: nothing by which data go elsewhere, or a gateway is out of reach."""
+
+
 class GatewaySettings(_Strict):
     """Everything."""
 
@@ -335,6 +347,11 @@ class GatewaySettings(_Strict):
         default=False,
         description="whether requests may change modules (ids, settings, files on the card): whoever can "
         "publish to the broker could then ask for it",
+    )
+    allow_configuration: tuple[PushedSection, ...] = Field(
+        default=(),
+        description="settings that requests may change, with all within them (`fleet configure`); they lie "
+        "in a file beside this one, which stays as it is; never recording.folder",
     )
 
     @model_validator(mode="before")
@@ -441,12 +458,34 @@ def fitting_suit(settings: GatewaySettings, suit: WornSuit) -> GatewaySettings:
     return settings.model_copy(update={"reconstructor": OPTICAL})
 
 
-def load_gateway_settings(path: Path) -> GatewaySettings:
+def pushed_file(config: Path) -> Path:
+    """Return where settings lie that the fleet has pushed: ``gateway.fleet.yaml`` for ``gateway.yaml``."""
+    return config.with_suffix(".fleet.yaml")
+
+
+def pushed_settings(config: Path) -> dict[str, Any]:
+    """Return what the fleet has pushed. Raises ``SettingsError`` for a file that cannot be read."""
+    file = pushed_file(config)
+    told = load_yaml(file) if file.exists() else None
+    if told is not None and not isinstance(told, dict):
+        raise SettingsError(f"{file}: holds no named settings: delete it to go back to {config.name}")
+    return told or {}
+
+
+def load_gateway_settings(path: Path, pushed: dict[str, Any] | None = None) -> GatewaySettings:
     """Return the configuration file. Raises ``SettingsError`` with one line for each thing wrong.
 
-    A clock table named in it may lie beside it.
+    A clock table named in it may lie beside it. pushed: what the fleet has set, of the sections that the file
+    allows; None: as it lies beside the file.
     """
     settings = load_settings(path, GatewaySettings)
+    if settings.allow_configuration:
+        pushed = pushed_settings(path) if pushed is None else pushed
+        allowed: dict[str, Any] = {
+            name: value for name, value in pushed.items() if name in settings.allow_configuration
+        }
+        if allowed:
+            settings = load_settings(path, GatewaySettings, allowed)
     if settings.clock.table is not None and (path.parent / settings.clock.table).is_file():
         clock = settings.clock.model_copy(update={"table": str(path.parent / settings.clock.table)})
         settings = settings.model_copy(update={"clock": clock})

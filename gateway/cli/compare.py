@@ -329,7 +329,7 @@ class Live:
 
 def run_live(settings: MqttSettings, wanted: Live) -> int:
     """Return the exit code: 0 on Ctrl-C or when done, 1 after one line if the broker cannot be used."""
-    from gateway.outputs.subscriber import BrokerUnreachableError
+    from gateway.outputs.receiving import BrokerUnreachableError
 
     try:
         topics = [Topics(settings.base_topic, name) for name in (wanted.first, wanted.second)]

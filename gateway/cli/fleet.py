@@ -37,6 +37,8 @@ fleet_app = typer.Typer(
 LOOPBACK = "127.0.0.1"
 TOKEN_VARIABLE = "MOCAP_PAGE_TOKEN"
 _REFRESH_S = 0.5
+_LAST_FLUSH_S = 600.0
+"""Longest wait for another command that changes the archive, before what was collected is given up."""
 
 Failover = Annotated[
     list[str] | None, typer.Option(metavar="HOST:PORT", help="A further node of the cluster; repeatable.")
@@ -133,6 +135,45 @@ def users(
     typer.echo(f"{output / 'users.conf'}: {len(names)} users, passwords in {output / 'passwords'}")
 
 
+@fleet_app.command(
+    epilog="Example: mocap-gateway fleet configure gw001 gw002 --set recording.rotate_minutes=30 --apply"
+)
+@with_broker
+def configure(
+    broker: BrokerChoice,
+    gateways: Annotated[list[str], typer.Argument(help="Names of the gateways.")],
+    given: Annotated[
+        list[str],
+        typer.Option("--set", metavar="NAME=VALUE", help="A setting; null: as the gateway's file says."),
+    ],
+    failover: Failover = None,
+    apply: Annotated[
+        bool, typer.Option("--apply", help="Take them into use; else the differences are shown alone.")
+    ] = False,
+    within: Annotated[
+        float, typer.Option(min=5, max=600, help="A gateway that is not back after so long goes back, s.")
+    ] = 60,
+) -> None:
+    """Push settings to gateways whose configuration allows it (allow_configuration).
+
+    Shows what would change. With --apply one gateway after another takes them into use, and is asked whether
+    it is back and publishes; the first that is not ends the command, and goes back by itself.
+    """
+    from gateway.fleet.configuring import differences, push, settings_of
+
+    settings, wanted = _at_cluster(broker, failover), settings_of(given)
+    for name in gateways:
+        for each in asyncio.run(differences(settings, name, wanted)):
+            values = json.dumps(each["before"]), json.dumps(each["after"])
+            typer.echo(printable(f"{name}: {each['setting']}: {values[0]} → {values[1]}"))
+    if not apply:
+        typer.echo("nothing was changed: --apply does it")
+        return
+    for name in gateways:
+        is_changed = asyncio.run(push(settings, name, wanted, within))
+        typer.echo(f"{name}: {'taken into use and confirmed' if is_changed else 'as it was'}")
+
+
 def _end_on_sigterm() -> None:
     """Have SIGTERM end the command as Ctrl-C does: with all processes that it has started."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -196,17 +237,20 @@ def read_wearers(path: Path | None) -> dict[str, str]:
 
 @contextlib.asynccontextmanager
 async def _listening(settings: MqttSettings, wearers: dict[str, str]) -> AsyncIterator[Fleet]:
-    from gateway.fleet.overview import Fleet, listen, take_into
+    from gateway.fleet.overview import Fleet, listener, take_into
 
-    fleet, ready = Fleet(settings.base_topic, wearers), asyncio.Event()
-    listening = asyncio.ensure_future(listen(settings, take_into(fleet), ready))
-    waiting = asyncio.ensure_future(ready.wait())
+    fleet = Fleet(settings.base_topic, wearers)
+    receiver = listener(settings, take_into(fleet))
+    listening = asyncio.ensure_future(receiver.run())
+    waiting = asyncio.ensure_future(receiver.subscribed.wait())
     try:
         await asyncio.wait({listening, waiting}, return_when=asyncio.FIRST_COMPLETED)
         if listening.done():
             listening.result()
         yield fleet
     finally:
+        if receiver.dropped:
+            typer.echo(f"{receiver.dropped} messages came faster than they could be counted", err=True)
         for task in (listening, waiting):
             task.cancel()
         await asyncio.gather(listening, waiting, return_exceptions=True)
@@ -330,29 +374,39 @@ def collect(
     settings = _at_cluster(broker, failover)
     kept = Archive(archive, is_new=True)
     collector = Collector(kept, site, settings.base_topic, read_wearers(wearers))
-    with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_for_a_while(_collect(settings, collector, flush), seconds))
-    collector.flush()
-    files = kept.renew_catalogue()
+    _end_on_sigterm()
+    with kept.collecting(site):
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(_for_a_while(_collect(settings, collector, flush), seconds))
+        with kept.locked("collect", _LAST_FLUSH_S):
+            collector.flush()
+            files = kept.renew_catalogue()
     typer.echo(
         f"{collector.rows} poses kept, {collector.repeated} were there already, "
-        f"{collector.undecodable} not readable; {files} files"
+        f"{collector.undecodable} not readable, {collector.missed} came too fast to be kept; {files} files"
     )
 
 
 async def _collect(settings: MqttSettings, collector: Collector, flush_s: float) -> None:
-    from gateway.fleet.overview import listen
+    from gateway.fleet.archive import ArchiveError
+    from gateway.fleet.overview import listener
 
     async def write() -> None:
         while True:
             await asyncio.sleep(flush_s)
-            collector.flush()
+            try:
+                with collector.archive.locked("collect"):
+                    collector.flush()
+            except ArchiveError as error:
+                typer.echo(f"{error}; poses are written when that is done", err=True)
 
+    receiver = listener(settings, collector.take)
     writing = asyncio.ensure_future(write())
     try:
-        await listen(settings, collector.take, asyncio.Event(), with_late=True)
+        await receiver.run()
     finally:
         writing.cancel()
+        collector.missed = receiver.dropped
 
 
 @archive_app.command(
@@ -369,10 +423,12 @@ def add(
     from gateway.recording import open_recording
 
     kept = Archive(archive, is_new=True)
-    for path in recordings:
-        _, rows = kept.add(open_recording(path), path, site, wearer)
-        typer.echo(f"{path}: {f'{rows} poses' if rows else 'no new poses'}, wearer {kept.pseudonym(wearer)}")
-    kept.renew_catalogue()
+    with kept.locked("add"):
+        for path in recordings:
+            _, rows = kept.add(open_recording(path), path, site, wearer)
+            told = f"{rows} poses" if rows else "no new poses"
+            typer.echo(f"{path}: {told}, wearer {kept.pseudonym(wearer)}")
+        kept.renew_catalogue()
 
 
 @archive_app.command("list", epilog="Example: mocap-gateway fleet archive list --archive clinic")
@@ -427,14 +483,15 @@ def solve(
     check_method(method)
     kept = Archive(archive)
     jobs, outcomes = jobs_of(kept, method), list[Solved]()
-    with progress_bar("solving") as tell:
+    with kept.locked("solve"):
+        with progress_bar("solving") as tell:
 
-        def done(outcome: Solved) -> None:
-            outcomes.append(outcome)
-            tell(len(outcomes), len(jobs))
+            def done(outcome: Solved) -> None:
+                outcomes.append(outcome)
+                tell(len(outcomes), len(jobs))
 
-        run(jobs, done, workers, dask)
-    kept.renew_catalogue()
+            run(jobs, done, workers, dask)
+        kept.renew_catalogue()
     failed = [outcome for outcome in outcomes if outcome.error is not None]
     typer.echo(
         f"{sum(outcome.rows > 0 for outcome in outcomes)} recordings solved, "
@@ -458,7 +515,8 @@ def forget(
     kept = Archive(archive)
     if not yes:
         typer.confirm(f"Delete all that {archive} keeps of {wearer} ({kept.pseudonym(wearer)})?", abort=True)
-    files, left = kept.forget(wearer)
+    with kept.nobody_collects(), kept.locked("forget"):
+        files, left = kept.forget(wearer)
     typer.echo(f"{files} files deleted; {left} files still hold the name or the pseudonym")
     for path in kept.traces(wearer) if left else ():
         typer.echo(f"  {path}", err=True)
@@ -476,5 +534,7 @@ def expire(
     """Delete all of the days before one: retention, to be called once a day."""
     from gateway.fleet.archive import Archive
 
-    files = Archive(archive).expire(before.strftime("%Y-%m-%d"))
+    kept = Archive(archive)
+    with kept.locked("expire"):
+        files = kept.expire(before.strftime("%Y-%m-%d"))
     typer.echo(f"{files} files deleted")

@@ -43,7 +43,9 @@ def run(
     """
     from gateway.body.rig import load_rig
     from gateway.service import readiness
+    from gateway.service.remote_configuration import go_back_if_unconfirmed
 
+    go_back_if_unconfirmed(config)
     configured = load_gateway_settings(config)
     suit = load_rig(configured.rig, config)
     wanted = fitting_suit(configured, suit).reconstructor
@@ -86,7 +88,10 @@ class _Supervisor:
         """Run ``service``; ``to_compile`` is a method that must be compiled before the configured one can
         run.
         """
+        from gateway.service.remote_configuration import RemoteConfiguration
+
         self._config = config
+        self._remote = RemoteConfiguration(config, self._read_anew)
         self._to_compile = to_compile
         self._service = service
         self._task: asyncio.Task[None] | None = None
@@ -148,6 +153,8 @@ class _Supervisor:
         service.own_requests.on_examine = partial(examined, service)
         service.own_requests.on_connect = PortChoice(self._config, service, self._read_anew).connect
         # As a task, so that a new configuration or a signal can end it.
+        service.own_requests.on_configure = self._remote.configure
+        service.own_requests.on_confirm = self._remote.confirm
         self._task = asyncio.ensure_future(service.run())
         notify("READY=1", f"STATUS=publishing, configuration {self._config}")
         try:

@@ -320,6 +320,13 @@ class PredictedPoseMessage(PoseMessage):
     predicted_from_ns: int = Field(description="Gateway time of the pose that it was extrapolated from, ns.")
 
 
+class EchoMessage(Message):
+    """A message that its sender listens for at another broker of the cluster: whether the brokers hear each
+    other. Of no use to anybody else; those who only listen send it below a name of their own."""
+
+    number: int = Field(ge=0, description="One more each time.")
+
+
 class LatePoseMessage(PoseMessage):
     """A pose from while no broker took any, published after the fact: never for a live display.
 
@@ -439,6 +446,7 @@ PUBLICATIONS: tuple[Publication, ...] = (
     Publication(topics.BRIDGE_STATE, BridgeState, qos=1, retain=True),
     Publication(topics.BRIDGE_INFO, BridgeInfo, qos=1, retain=True),
     Publication(topics.BRIDGE_HEALTH, BridgeHealth, qos=0, retain=False),
+    Publication(topics.BRIDGE_ECHO, EchoMessage, qos=0, retain=False),
     Publication(topics.BODY, BodyMessage, qos=1, retain=True),
     Publication(topics.POSE, PoseMessage, qos=0, retain=False),
     Publication(topics.POSE_MSGPACK, PoseMessage, qos=0, retain=False, content_type=MSGPACK),

@@ -45,12 +45,35 @@ class ConnectRequest(Request):
     )
 
 
+class ConfigureRequest(Request):
+    """Show what other settings would change, or take them into use until `gateway/confirm`: without that the
+    gateway goes back by itself. Only sections that its configuration allows (`allow_configuration`)."""
+
+    settings: dict[Annotated[str, Field(pattern=r"^[a-z0-9_]+(\.[a-z0-9_]+){0,3}$")], JsonValue] = Field(
+        min_length=1,
+        max_length=32,
+        description="value by name, such as recording.rotate_minutes; null: as the gateway's own file says",
+    )
+    dry_run: bool = Field(default=True, description="only show the differences")
+    confirm_within_s: float = Field(
+        default=60, ge=5, le=600, description="after so long without `gateway/confirm` all is as before, s"
+    )
+
+
+class ConfirmRequest(Request):
+    """Keep the settings that were taken into use last."""
+
+    token: str = Field(max_length=64, description="as `gateway/configure` told it")
+
+
 GATEWAY_REQUESTS: dict[str, type[Request]] = {
     "info": InfoRequest,
     "health": HealthRequest,
     "reload": ReloadRequest,
     "examine": ExamineRequest,
     "connect": ConnectRequest,
+    "configure": ConfigureRequest,
+    "confirm": ConfirmRequest,
 }
 """Verb to the data it takes."""
 

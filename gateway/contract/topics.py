@@ -7,6 +7,7 @@ from dataclasses import dataclass
 BRIDGE_STATE = "bridge/state"
 BRIDGE_INFO = "bridge/info"
 BRIDGE_HEALTH = "bridge/health"
+BRIDGE_ECHO = "bridge/echo/{id}"
 BRIDGE_REQUEST = "bridge/request"
 BRIDGE_RESPONSE = "bridge/response"
 BODY = "body"
@@ -60,6 +61,11 @@ class Topics:
     def bridge_health(self) -> str:
         """Counters, from time to time."""
         return f"{self.root}/{BRIDGE_HEALTH}"
+
+    @property
+    def bridge_echo(self) -> str:
+        """Below it, what goes from one broker of a cluster to another, and back to its sender."""
+        return f"{self.root}/{BRIDGE_ECHO.removesuffix('/{id}')}"
 
     @property
     def body(self) -> str:

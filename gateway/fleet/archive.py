@@ -2,6 +2,7 @@
 
 ::
 
+    .lock                                                  who changes the archive at the moment
     .key                                                   what pseudonyms are made with; for its owner alone
     recordings/site=…/day=…/wearer=…/<digest>.mcap         raw bytes: what can be solved again
     poses/method=…/site=…/day=…/wearer=…/<name>.parquet    a row a pose; the file tells where it came from
@@ -13,6 +14,7 @@ truth: the catalogue is made of them anew after every change.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import hmac
 import itertools
@@ -35,6 +37,7 @@ from gateway.body.joint_angles import joint_angles
 from gateway.errors import GatewayError
 from gateway.recording import Recording
 from gateway.recording.arrays import SkeletonArrays, arrays_of
+from gateway.support.file_lock import file_lock
 from gateway.support.whole_files import replacing
 
 if TYPE_CHECKING:
@@ -44,6 +47,8 @@ PROVENANCE = b"mocap"
 """Key of what a file tells of itself: a JSON object."""
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _DIGITS = 16
+_COLLECTING = ".collecting_"
+"""Beginning of the names of files by which a site is collected for once at a time."""
 _ROWS = 1000
 """Of an answer, fetched at a time."""
 
@@ -117,6 +122,47 @@ class Archive:
     def pseudonym(self, wearer: str) -> str:
         """Return the id of a wearer: always the same in this archive, and in no other."""
         return hmac.new(self._key, wearer.encode(), hashlib.sha256).hexdigest()[:_DIGITS]
+
+    @contextlib.contextmanager
+    def locked(self, what: str, patience_s: float = 0.0) -> Iterator[None]:
+        """Keep others from changing the archive meanwhile.
+
+        what: command that does so. patience_s: how long another one is waited for. Raises
+        ``ArchiveError`` that names it.
+        """
+        with self._held(self.folder / ".lock", what, patience_s):
+            yield
+
+    @contextlib.contextmanager
+    def collecting(self, site: str) -> Iterator[None]:
+        """Be the one that collects for a site: two would keep each pose twice. Raises ``ArchiveError``."""
+        with self._held(self.folder / f"{_COLLECTING}{site}", f"collect --site {site}", 0.0):
+            yield
+
+    @contextlib.contextmanager
+    def nobody_collects(self) -> Iterator[None]:
+        """Keep everybody from collecting: they hold poses that are not in a file yet. Raises
+        ``ArchiveError`` where somebody does."""
+        with contextlib.ExitStack() as stack:
+            for path in sorted(self.folder.glob(f"{_COLLECTING}*")):
+                site = path.name.removeprefix(_COLLECTING)
+                stack.enter_context(self._held(path, f"collect --site {site}", 0.0))
+            yield
+
+    @contextlib.contextmanager
+    def _held(self, path: Path, what: str, patience_s: float) -> Iterator[None]:
+        lock = file_lock(path, patience_s, f"`fleet archive {what}` (process {os.getpid()})")
+        try:
+            lock.__enter__()
+        except BlockingIOError:
+            raise ArchiveError(
+                f"{path.read_text() or 'another command'} works on {self.folder}: wait for it, or end it"
+            ) from None
+        except OSError as error:
+            raise ArchiveError(f"{path} cannot be written: {error.strerror}") from None
+        with contextlib.ExitStack() as stack:
+            stack.push(lock.__exit__)
+            yield
 
     def part(self, partition: Partition, name: str) -> Path:
         """Where a file of rows lies, or would."""

@@ -20,12 +20,17 @@ from typing import Self
 from devices.extras import how_to_add
 from gateway.contract.topics import Topics
 from gateway.errors import GatewayError
+from gateway.fleet.routes import CuttableRoutes
 
 NODES = 3
 READER = "overview"
 """User that may listen to all gateways, and ask them."""
+OPERATOR = "operator"
+"""User that may also change the settings of gateways which allow it."""
 LEAF = "leaf-"
 """Beginning of the users as which nodes at sites connect; gateways there have rights at that node."""
+_NOWHERE = "127.0.0.1:1"
+"""What nodes tell others of where they are: each knows its routes, and makes no others."""
 _START_S = 20.0
 _STOP_S = 3.0
 _POLL_S = 0.05
@@ -39,8 +44,8 @@ def subject_of(topic: str) -> str:
 def users_config(passwords: Mapping[str, str], base_topic: str = "mocap") -> str:
     """Return the users of a cluster as its configuration wants them.
 
-    passwords: by name of the gateway, ``READER``, or ``LEAF`` and the name of a site. A gateway may publish
-    below its own name alone, and read what others publish and ask there.
+    passwords: by name of the gateway, ``READER``, ``OPERATOR``, or ``LEAF`` and the name of a site. A
+    gateway may publish below its own name alone, and read what others publish and ask there.
     Raises ``ValueError`` for a name that cannot stand in a topic.
     """
     users = [_user(name, password, base_topic) for name, password in passwords.items()]
@@ -50,9 +55,15 @@ def users_config(passwords: Mapping[str, str], base_topic: str = "mocap") -> str
 def _user(name: str, password: str, base_topic: str) -> str:
     if name.startswith(LEAF):
         return f"{{user: {json.dumps(name)}, password: {json.dumps(password)}}}"
-    if name == READER:
-        # It asks and is answered; poses it cannot make.
-        publish = [subject_of(f"{base_topic}/*/bridge/request/>")]
+    deny: list[str] = []
+    if name in (READER, OPERATOR):
+        # They ask and are answered; poses they cannot make.
+        publish = [subject_of(f"{base_topic}/*/bridge/{below}/>") for below in ("request", "echo")]
+        if name == READER:
+            deny = [
+                subject_of(f"{base_topic}/*/bridge/request/gateway/{verb}")
+                for verb in ("configure", "confirm")
+            ]
         # With the level above, for the filter <base_topic>/# means that as well.
         subscribe = [subject_of(base_topic), subject_of(f"{base_topic}/>")]
     else:
@@ -60,7 +71,7 @@ def _user(name: str, password: str, base_topic: str) -> str:
         publish, subscribe = [f"{root}.>"], [f"{root}.bridge.>"]
     # What the server does for MQTT on behalf of a user: QoS 1 to its own subscriptions.
     subscribe.append("$MQTT.sub.>")
-    rights = {"publish": {"allow": publish}, "subscribe": {"allow": subscribe}}
+    rights = {"publish": {"allow": publish, "deny": deny}, "subscribe": {"allow": subscribe}}
     return (
         f"{{user: {json.dumps(name)}, password: {json.dumps(password)}, permissions: {json.dumps(rights)}}}"
     )
@@ -76,8 +87,8 @@ def _is_ready(node: Node) -> bool:
 
 
 def new_passwords(gateways: Iterable[str]) -> dict[str, str]:
-    """Return a password for each gateway and for ``READER``."""
-    return {name: secrets.token_urlsafe(18) for name in (READER, *gateways)}
+    """Return a password for each gateway, for ``READER`` and for ``OPERATOR``."""
+    return {name: secrets.token_urlsafe(18) for name in (READER, OPERATOR, *gateways)}
 
 
 def write_users(
@@ -89,10 +100,10 @@ def write_users(
     not. Returns the names of all users. Raises
     ``GatewayError`` for a name that cannot stand in a topic.
     """
-    taken = [name for name in gateways if name == READER or name.startswith(LEAF)]
+    taken = [name for name in gateways if name in (READER, OPERATOR) or name.startswith(LEAF)]
     if taken:
         raise GatewayError(
-            f"a gateway cannot be named '{taken[0]}': {READER} and {LEAF}… are users of their own"
+            f"a gateway cannot be named '{taken[0]}': {READER}, {OPERATOR} and {LEAF}… are users of their own"
         )
     gateways = [*gateways, *(f"{LEAF}{site}" for site in sites)]
     secrets_folder = folder / "passwords"
@@ -141,7 +152,7 @@ class Node:
     def __init__(
         self, index: int, folder: Path, ports: Sequence[int], routes: Sequence[int], users: str
     ) -> None:
-        """ports: of MQTT, cluster, NATS' own clients, monitoring. routes: of all nodes' clusters."""
+        """ports: of MQTT, cluster, NATS' own clients, monitoring. routes: to the other nodes' clusters."""
         self.name = f"node{index + 1}"
         self.mqtt_port, self._cluster_port, self._client_port, self.monitor_port = ports
         self._folder = folder / self.name
@@ -153,8 +164,11 @@ host: 127.0.0.1
 port: {self._client_port}
 http: 127.0.0.1:{self.monitor_port}
 jetstream {{ store_dir: {json.dumps(str(self._folder))}, max_mem: 256MB, max_file: 1GB }}
-mqtt {{ host: 127.0.0.1, port: {self.mqtt_port} }}
-cluster {{ name: mocap, host: 127.0.0.1, port: {self._cluster_port}, no_advertise: true, routes: [{urls}] }}
+mqtt {{ host: 127.0.0.1, port: {self.mqtt_port}, stream_replicas: {NODES} }}
+cluster {{
+  name: mocap, host: 127.0.0.1, port: {self._cluster_port}, no_advertise: true, advertise: "{_NOWHERE}"
+  routes: [{urls}]
+}}
 {users}"""
         self._config.touch(mode=0o600)
         self._config.write_text(text)
@@ -207,12 +221,23 @@ cluster {{ name: mocap, host: 127.0.0.1, port: {self._cluster_port}, no_advertis
 class Cluster:
     """Three nodes on loopback that know each other, ended on leaving."""
 
-    def __init__(self, folder: Path, passwords: Mapping[str, str] | None = None) -> None:
-        """folder: for what the servers keep. passwords: none: everybody may do everything."""
+    def __init__(
+        self, folder: Path, passwords: Mapping[str, str] | None = None, *, is_cuttable: bool = False
+    ) -> None:
+        """folder: for what the servers keep. passwords: none: everybody may do everything. is_cuttable: the
+        network between the nodes can be cut, by ``routes``."""
+        self.routes: CuttableRoutes | None = None
         ports = [free_ports(4) for _ in range(NODES)]
-        routes = [own[1] for own in ports]
+        routes = [[own[1] for own in ports]] * NODES
+        if is_cuttable:
+            self.routes = CuttableRoutes([own[1] for own in ports])
+            self.routes.start()
+            routes = [self.routes.from_node(index) for index in range(NODES)]
         users = users_config(passwords) if passwords else ""
-        self.nodes = [Node(index, folder, own, routes, users) for index, own in enumerate(ports)]
+        self.nodes = [
+            Node(index, folder, own, to_others, users)
+            for index, (own, to_others) in enumerate(zip(ports, routes, strict=True))
+        ]
 
     def addresses(self, first: int = 0) -> list[str]:
         """HOST:PORT of MQTT of all nodes, beginning with one."""
@@ -246,5 +271,7 @@ class Cluster:
         self._stop()
 
     def _stop(self) -> None:
+        if self.routes is not None:
+            self.routes.stop()
         for node in self.nodes:
             node.stop()

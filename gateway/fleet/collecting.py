@@ -48,7 +48,9 @@ class Collector:
         self.repeated = 0
         """Poses left out because they were there already."""
         self.undecodable = 0
-        self._archive = archive
+        self.missed = 0
+        """Messages that came faster than they were taken."""
+        self.archive = archive
         self._site = checked_name("site", site)
         self._wearers = dict(wearers)
         self._topics = Topics(base_topic, ANY_GATEWAY)
@@ -77,7 +79,7 @@ class Collector:
         instance = str(told["instance"] if is_late else info.instance)
         seen = self._seen.get((gateway, instance))
         if seen is None:
-            seen = self._seen[gateway, instance] = self._archive.seen(gateway, instance)
+            seen = self._seen[gateway, instance] = self.archive.seen(gateway, instance)
         seq = int(told["seq"])
         if seq in seen:
             self.repeated += 1
@@ -113,11 +115,11 @@ class Collector:
         columns |= orientation_columns(names, np.array(rows.q_wb, np.float32))
         for angle in dict.fromkeys(itertools.chain.from_iterable(rows.angles)):
             columns[angle] = np.array([row.get(angle, np.nan) for row in rows.angles], np.float32)
-        wearer = self._archive.pseudonym(self._wearers.get(gateway, gateway))
+        wearer = self.archive.pseudonym(self._wearers.get(gateway, gateway))
         partition = Partition(self._infos[gateway].reconstructor, self._site, day, wearer)
         name = f"stream_{time.time_ns()}_{next(_NAMES)}"
         provenance = {"gateway": gateway, "instances": sorted(set(rows.instance)), "solved": "live"}
-        self._archive.write(self._archive.part(partition, name), columns, provenance)
+        self.archive.write(self.archive.part(partition, name), columns, provenance)
 
 
 _UNKNOWN = [np.nan] * 4

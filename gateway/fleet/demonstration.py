@@ -28,6 +28,8 @@ class Wanted:
     rate_hz: float
     recording: Path | None = None
     keeps_late: bool = True
+    is_cuttable: bool = False
+    """Whether the network between the brokers can be cut."""
 
 
 class DemoFleet:
@@ -39,7 +41,7 @@ class DemoFleet:
         self._folder = folder
         self._wanted = wanted
         self._passwords = new_passwords(self.names)
-        self.cluster = Cluster(folder / "brokers", self._passwords)
+        self.cluster = Cluster(folder / "brokers", self._passwords, is_cuttable=wanted.is_cuttable)
         self.processes: list[subprocess.Popen[bytes]] = []
 
     def settings(self, user: str = READER, first: int = 0) -> MqttSettings:

@@ -1,12 +1,11 @@
 """What is known of every gateway of a fleet by what it publishes: state, rate, loss, delay, disk, versions.
 
-``Fleet`` is sans-I/O; ``listen`` feeds it from a broker, or from a cluster. Of a pose only its head is read
+``Fleet`` is sans-I/O; ``listener`` feeds it from a broker, or from a cluster. Of a pose only its head is read
 (the instant and the number), so that one process follows a hundred gateways.
 """
 
 from __future__ import annotations
 
-import asyncio
 import re
 import time
 from collections import Counter
@@ -21,9 +20,8 @@ from pydantic import ValidationError
 from gateway.contract import topics
 from gateway.contract.messages import BodyMessage, BridgeHealth, BridgeInfo
 from gateway.contract.topics import ANY_GATEWAY, Topics
-from gateway.errors import GatewayError
-from gateway.outputs.connection import explain
-from gateway.outputs.failover import ClusterConnection, follow_kept
+from gateway.outputs.pose_order import PoseOrder
+from gateway.outputs.receiving import Receiver
 from gateway.outputs.settings import MqttSettings
 
 WINDOW_S = 5.0
@@ -50,9 +48,9 @@ class Row:
     delay_ms: float | None
     """From the instant of a pose to its arrival here, median; true where both computers have the same UTC."""
     lost: int
-    """Poses that did not arrive since this overview began."""
+    """Poses that arrived neither live nor late since this overview began."""
     late: int
-    """Poses that came later, on pose/late."""
+    """Poses that came later, on pose/late, and had not come live."""
     free_gb: float | None
     version: str | None
     firmware: tuple[str, ...]
@@ -69,43 +67,64 @@ class Seen:
     body: BodyMessage | None = None
     firmware: dict[int, str] = field(default_factory=dict)
     last_s: float | None = None
-    seq: int | None = None
+    order: PoseOrder = field(default_factory=PoseOrder)
     received: int = 0
+    missing: dict[int, None] = field(default_factory=dict)
+    """Numbers that did not come live, and not late yet; the newest ``MOST_MISSING`` of them."""
     lost: int = 0
+    """Poses that came neither live nor late."""
     repeated: int = 0
-    """Poses whose number had been there already."""
+    """Live poses that had come already, or after newer ones."""
     late: int = 0
-    longest_gap_s: float = 0.0
+    """Poses that came later and had not come live."""
     window: list[tuple[float, int, int, float | None]] = field(default_factory=list)
-    """(second, received, lost, delay) of each of the last seconds."""
+    """(second, received, missing, delay) of each of the last seconds."""
 
     def pose(self, t_ns: int, seq: int, now_s: float, utc_ns: int) -> None:
         """Count a live pose."""
-        lost = 0
-        if self.seq is not None:
-            if seq - self.seq > 0:
-                lost = seq - self.seq - 1
-            elif self.seq - seq < _BEGUN_ANEW:
-                self.repeated += 1
-                return
-        if self.last_s is not None:
-            self.longest_gap_s = max(self.longest_gap_s, now_s - self.last_s)
-        self.seq, self.last_s = seq, now_s
+        before = self.order.seq
+        if not self.order.is_new(seq, t_ns):
+            self.repeated += 1
+            return
+        missing = range(0) if before is None else range(before + 1, seq)
+        self.missing.update(dict.fromkeys(missing[-MOST_MISSING:]))
+        while len(self.missing) > MOST_MISSING:
+            self.missing.pop(next(iter(self.missing)))
+        self.lost += len(missing)
+        self.last_s = now_s
         self.received += 1
-        self.lost += lost
         delay_s = None
         if self.info is not None and self.info.utc is not None:
             delay_s = (utc_ns - t_ns - self.info.utc.offset_ns) * 1e-9
         if self.window and now_s - self.window[-1][0] < 1.0:
-            begun, received, before, delay = self.window[-1]
-            self.window[-1] = begun, received + 1, before + lost, delay
+            begun, received, earlier, delay = self.window[-1]
+            self.window[-1] = begun, received + 1, earlier + len(missing), delay
         else:
-            self.window.append((now_s, 1, lost, delay_s))
+            self.window.append((now_s, 1, len(missing), delay_s))
             self.window = [each for each in self.window if now_s - each[0] < WINDOW_S + 1]
 
+    def late_pose(self, seq: int) -> None:
+        """Count a pose that came later: once, and only if it is missing."""
+        if seq in self.missing:
+            del self.missing[seq]
+            self.late += 1
+            self.lost -= 1
 
-_BEGUN_ANEW = 10_000
-"""A number so much below the last one is of a gateway that was started again."""
+    def is_of_this_run(self, payload: bytes) -> bool:
+        """Return whether a late pose was made by the gateway that runs now, as far as it is known."""
+        instance = None if self.info is None else self.info.instance
+        return instance is None or b'"%b"' % instance.encode() in payload
+
+    def note_info(self, info: BridgeInfo) -> None:
+        """Take what the gateway tells of itself; a new run of it begins to count anew."""
+        if self.info is not None and info.instance != self.info.instance:
+            self.missing.clear()
+        self.order.note_instance(info.instance)
+        self.info = info
+
+
+MOST_MISSING = 20_000
+"""Numbers remembered of one gateway."""
 
 
 class Fleet:
@@ -123,10 +142,14 @@ class Fleet:
         if address is None or (address[0] not in self.gateways and len(self.gateways) >= MOST_GATEWAYS):
             return
         name, below = address
-        if below == topics.POSE:
+        if below in (topics.POSE, topics.LATE_POSE):
             head = _HEAD.match(payload)
             if head is not None and not is_retained:
-                self.gateways.setdefault(name, Seen()).pose(int(head[1]), int(head[2]), now_s, utc_ns)
+                seen, t_ns, seq = self.gateways.setdefault(name, Seen()), int(head[1]), int(head[2])
+                if below == topics.POSE:
+                    seen.pose(t_ns, seq, now_s, utc_ns)
+                elif seen.is_of_this_run(payload):
+                    seen.late_pose(seq)
             return
         try:
             self._take_other(self.gateways.setdefault(name, Seen()), below, payload)
@@ -135,13 +158,11 @@ class Fleet:
 
     def _take_other(self, seen: Seen, below: str, payload: bytes) -> None:
         match below:
-            case topics.LATE_POSE:
-                seen.late += 1
             case topics.BRIDGE_STATE:
                 state = orjson.loads(payload)
                 seen.state = "online" if state == {"state": "online"} else "offline"
             case topics.BRIDGE_INFO:
-                seen.info = BridgeInfo.model_validate_json(payload)
+                seen.note_info(BridgeInfo.model_validate_json(payload))
             case topics.BRIDGE_HEALTH:
                 seen.health = BridgeHealth.model_validate_json(payload)
             case topics.BODY:
@@ -209,55 +230,22 @@ def _alerts(row: Row, seen: Seen, now_s: float, usual: str | None) -> list[str]:
     return found
 
 
-class FleetUnreachableError(GatewayError, ConnectionError):
-    """No broker there, or it refuses us."""
-
-
 Take = Callable[[aiomqtt.Message], None]
 
+MOST_WAITING = 20_000
+"""Messages that may wait for one who listens to a whole fleet: some seconds of a hundred gateways."""
 
-async def listen(
-    settings: MqttSettings, take: Take, ready: asyncio.Event, *, with_late: bool = False
-) -> None:
-    """Give every message of all gateways to ``take``, for ever, over another node when one is lost.
 
-    ready: set when poses come in. Raises ``FleetUnreachableError`` when no address lets us in at first.
-    """
+def listener(settings: MqttSettings, take: Take) -> Receiver:
+    """Return what gives every message of all gateways to ``take``, late poses too. Wants an event loop."""
     own = Topics(settings.base_topic, ANY_GATEWAY)
-    passing = [own.pose, own.bridge_health, *([own.late_pose] if with_late else [])]
+    passing = [own.pose, own.late_pose, own.bridge_health]
     kept = [own.bridge_state, own.bridge_info, own.body, f"{own.root}/module/+/state"]
-    connection = ClusterConnection(settings, settings.port, "fleet")
-    failures: list[str] = []
-    given_up = asyncio.get_running_loop().create_future()
-
-    async def use(client: aiomqtt.Client) -> None:
-        await client.subscribe([(topic, 0) for topic in passing])
-        ready.set()
-        async for message in client.messages:
-            take(message)
-            while not client._queue.empty():  # aiomqtt takes several turns for each
-                take(client._queue.get_nowait())
-
-    def lost(error: Exception) -> None:
-        failures.append(explain(error, connection.settings, connection.settings.port))
-        if not ready.is_set() and len(failures) > len(settings.failover) and not given_up.done():
-            given_up.set_exception(FleetUnreachableError(failures[0]))
-
-    running = asyncio.ensure_future(connection.run(use, None, lost, asyncio.Event()))
-    following = asyncio.ensure_future(follow_kept(settings, "fleet", kept, take))
-    try:
-        await asyncio.wait({running, given_up}, return_when=asyncio.FIRST_COMPLETED)
-        if given_up.done():
-            given_up.result()
-        running.result()
-    finally:
-        running.cancel()
-        following.cancel()
-        await asyncio.gather(running, following, return_exceptions=True)
+    return Receiver(settings, "fleet", passing, kept, take, MOST_WAITING, reads_both=False)
 
 
 def take_into(fleet: Fleet) -> Take:
-    """Return what ``listen`` is to call for a fleet."""
+    """Return what ``listener`` is to call for a fleet."""
 
     def take(message: aiomqtt.Message) -> None:
         if isinstance(message.payload, bytes):

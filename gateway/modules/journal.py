@@ -7,11 +7,9 @@ The file is the truth, never a copy in memory: a running gateway and a command l
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import logging
 import os
 import secrets
-import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +20,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, TypeAdapter, Valida
 from devices.configure import Change
 from gateway.contract.requests import UniqueId
 from gateway.errors import GatewayError
+from gateway.support.file_lock import file_lock
 from gateway.support.former_names import current
 from gateway.support.whole_files import write_whole
 
@@ -31,7 +30,6 @@ _LONGEST = 50
 """Entries remembered."""
 
 _LOCK_PATIENCE_S = 5.0
-_LOCK_INTERVAL_S = 0.01
 
 
 class JournalError(GatewayError):
@@ -109,33 +107,15 @@ class Journal:
         """Hold the lock that all processes take before they read or write the file."""
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            # A file beside the journal, as the journal itself is replaced whenever it is written.
-            lock = os.open(self._path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            with file_lock(self._path.with_suffix(".lock"), _LOCK_PATIENCE_S):
+                yield
+        except BlockingIOError:
+            raise JournalError(
+                f"{self._path} is held by another process for more than {_LOCK_PATIENCE_S:.0f} s: "
+                "nothing was changed; is a mocap-gateway stopped (Ctrl-Z)? continue or end it"
+            ) from None
         except OSError as error:
             raise self._unusable(error) from error
-        try:
-            self._wait_for(lock)
-            yield
-        except OSError as error:
-            raise self._unusable(error) from error
-        finally:
-            os.close(lock)
-
-    def _wait_for(self, lock: int) -> None:
-        end_s = time.monotonic() + _LOCK_PATIENCE_S
-        while True:
-            # Without blocking, so that a stopped process that holds the lock is named after a while.
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if time.monotonic() >= end_s:
-                    raise JournalError(
-                        f"{self._path} is held by another process for more than {_LOCK_PATIENCE_S:.0f} s: "
-                        "nothing was changed; is a mocap-gateway stopped (Ctrl-Z)? continue or end it"
-                    ) from None
-                time.sleep(_LOCK_INTERVAL_S)
-            else:
-                return
 
     def _load(self) -> list[_Record]:
         try:

@@ -19,8 +19,8 @@ from gateway.contract.topics import ANY_GATEWAY, Topics
 from gateway.errors import GatewayError
 from gateway.modules.operations import Plain, RequestError
 from gateway.outputs.connection import broker_connection, explain, unique_identifier
+from gateway.outputs.receiving import BrokerUnreachableError
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.subscriber import BrokerUnreachableError
 
 _RETAINED_S = 1.0
 """Time for the first retained state of a gateway to come."""

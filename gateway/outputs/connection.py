@@ -156,19 +156,23 @@ async def broker_connection(
     will: aiomqtt.Will | None = None,
     on_full: Callable[[], None] | None = None,
     on_answer: Callable[[str, ReasonCode], None] | None = None,
+    most_messages: int = MOST_MESSAGES,
+    timeout_s: float = TIMEOUT_S,
 ) -> AsyncIterator[aiomqtt.Client]:
-    """A connected client, disconnected on leaving.
-
-    on_answer: told topic and reason code of every publication of QoS 1 that was answered; with MQTT 3.1.1
-    it is always success.
+    """Give a connected client, disconnected on leaving.
 
     on_full: told of every message that was dropped because too many, or too large ones, wait to be read.
+    on_answer: told topic and reason code of every publication of QoS 1 that was answered; with MQTT 3.1.1
+    it is always success. most_messages: so many wait to be read, within ``LARGEST_INBOX``. timeout_s: longest
+    wait for the broker to let us in, or to answer a message.
+
     Raises ``aiomqtt.MqttError``, ``OSError`` or ``CredentialError``; ``explain`` puts them into words.
 
     Left by an exception, the socket is closed at once without a farewell, so that the broker
     publishes the will.
     """
-    client = _client(settings, port, identifier, will, partial(Inbox, on_full=on_full))
+    client = _client(settings, port, identifier, will, partial(Inbox, on_full=on_full), most_messages)
+    client.timeout = timeout_s
     if on_answer is not None:
         _tell_answers(client, on_answer)
     try:
@@ -244,6 +248,7 @@ def _client(
     identifier: str,
     will: aiomqtt.Will | None,
     new_inbox: Callable[..., Inbox],
+    most_messages: int,
 ) -> aiomqtt.Client:
     client = aiomqtt.Client(
         settings.host,
@@ -257,7 +262,7 @@ def _client(
         timeout=TIMEOUT_S,
         keepalive=settings.keepalive,
         queue_type=new_inbox,  # type: ignore[arg-type]  # it is only called
-        max_queued_incoming_messages=MOST_MESSAGES,
+        max_queued_incoming_messages=most_messages,
         properties=_wishes(settings),
         tls_params=_tls_parameters(settings.tls) if settings.tls is not None else None,
         socket_options=_SOCKET_OPTIONS,

@@ -5,7 +5,8 @@ was cut, only stays silent: it is asked for an answer time and again, and given 
 
 To connect anew may take long just then: a cluster that has lost the node which led it lets nobody in, and
 acknowledges nothing, until it has chosen another (NATS: four to nine seconds). Messages of QoS 0 pass
-meanwhile over connections that are there. So poses have two, to two nodes, and go over one of them.
+meanwhile over connections that are there. So poses have two, to two nodes, and go over one of them; over both
+while the nodes do not hear each other.
 """
 
 from __future__ import annotations
@@ -14,13 +15,17 @@ import asyncio
 import contextlib
 import itertools
 import logging
+import secrets
 import time
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import AsyncExitStack
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import aiomqtt
+from pydantic import ValidationError
 
+from gateway.contract.messages import EchoMessage
 from gateway.outputs.connection import (
     broker_back_off,
     broker_connection,
@@ -48,6 +53,11 @@ class BrokerTurns:
     def settings(self) -> MqttSettings:
         """Those of the address in use; its ``failover`` is that of the configuration."""
         return self._doors[self._turn]
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether the address before has failed, and no other one has let us in since."""
+        return self._failed > 0
 
     def succeeded(self) -> None:
         """Note that the address in use has let us in: it stays in use."""
@@ -89,10 +99,10 @@ async def keep_asking(
     paho._handle_pingresp = note
     while True:
         answered.clear()
-        asked_s = time.monotonic()
         if not paho._ping_t:  # or one of the keep-alive is under way already
             paho._send_pingreq()
             paho.loop_write()
+        asked_s = float(paho._ping_t)
         await asyncio.wait({waiting := asyncio.ensure_future(answered.wait())}, timeout=within_s)
         waiting.cancel()
         if not answered.is_set():
@@ -110,17 +120,46 @@ class _Ready(NamedTuple):
     settings: MqttSettings
 
 
+Confirm = Callable[[float], None]
+"""Told an instant (``time.monotonic()``, s): what was published before has reached the brokers."""
+
+
+@dataclass(frozen=True)
+class Companions:
+    """What a user of a cluster wants to hear of, beside the connection in use."""
+
+    confirm: Confirm | None = None
+    """Told what has reached the other node; without echoes, what the node in use has read."""
+    prepare: Callable[[aiomqtt.Client], Coroutine[Any, Any, None]] | None = None
+    """Subscribes on a connection that is to stand by."""
+    beside: Callable[[aiomqtt.Client | None], None] | None = None
+    """Given the connection that stands by when the nodes are apart, and None when they are no longer. When a
+    connection is lost, nothing is beside it."""
+    take: Callable[[aiomqtt.Message], None] | None = None
+    """Given what is heard on the connection that stands by."""
+
+
 class ClusterConnection:
     """A connection to one node of a cluster, and one to another that stands by. Belongs to one event loop.
 
-    Nothing is subscribed to on the one that stands by.
+    Each node may answer while they do not hear each other: then what is published at one is heard there
+    alone. So an echo is published at the node in use and listened for at the other. Where it stays away the
+    nodes are apart, and both connections are to be used until it is heard again. Nothing is subscribed to or
+    given up when a node is lost: a cluster without a leader keeps such a request, and all that comes after
+    it, waiting.
     """
 
-    def __init__(self, settings: MqttSettings, port: int, role: str, **options: Any) -> None:
-        """port: of the first address. role: part of client identifiers. options: of ``broker_connection``."""
+    def __init__(self, settings: MqttSettings, port: int, role: str, echo: str, **options: Any) -> None:
+        """port: of the first address. role: part of client identifiers. echo: a topic below which the user
+        of the settings may publish and hear. options: of ``broker_connection``."""
+        self.is_apart = False
+        """Whether the nodes of the two connections do not hear each other."""
         self._turns = BrokerTurns(settings, port)
         self._within_s = settings.answer_within
+        self._is_watched = settings.is_watched
         self._role = role
+        self._echo_topic = echo
+        self._is_echo_heard = False  # there may be no right to
         self._options = options
         self._ready: _Ready | None = None
 
@@ -129,16 +168,21 @@ class ClusterConnection:
         """Those of the address in use, or tried last."""
         return self._turns.settings
 
+    @property
+    def standby(self) -> aiomqtt.Client | None:
+        """The connection that stands by."""
+        return None if self._ready is None else self._ready.client
+
     async def run(
         self,
         use: Callable[[aiomqtt.Client], Coroutine[Any, Any, None]],
-        on_answer: Callable[[float], None] | None,
         lost: Callable[[Exception], None],
         stopping: asyncio.Event,
+        companions: Companions = Companions(),
     ) -> None:
         """Call ``use`` with a connection, again with another one when that is lost, until it is stopping.
 
-        on_answer: as in ``keep_asking``. lost: told why a connection was lost, or could not be made.
+        lost: told why a connection was lost, or could not be made.
         """
         back_off = broker_back_off()
         try:
@@ -149,8 +193,7 @@ class ClusterConnection:
                     back_off.reset()
                     self._turns.succeeded()
                     async with stack:
-                        asking = keep_asking(client, self._within_s, on_answer)
-                        await first_to_end(use(client), asking, self._keep_one_ready())
+                        await first_to_end(use(client), *self._companions(client, companions))
                 except Exception as error:
                     lost(error)
                     is_all_away = self._turns.failed()
@@ -159,6 +202,20 @@ class ClusterConnection:
         finally:
             if self._ready is not None:
                 await self._ready.stack.aclose()
+
+    def _companions(self, client: aiomqtt.Client, of: Companions) -> list[Coroutine[Any, Any, None]]:
+        """Return what goes on while a connection is in use."""
+        if not self._is_watched:
+            return []
+
+        def read(asked_s: float) -> None:
+            if of.confirm is not None and not self._is_echo_heard:
+                of.confirm(asked_s)
+
+        parts = [keep_asking(client, self._within_s, read)]
+        if self._turns.others():
+            parts.append(self._keep_one_ready(client, of))
+        return parts
 
     def _take(self) -> _Ready | None:
         """Return the connection that stands by, if there is one and it lives."""
@@ -173,21 +230,96 @@ class ClusterConnection:
         opening = broker_connection(settings, settings.port, unique_identifier(self._role), **self._options)
         return _Ready(await stack.enter_async_context(opening), stack, settings)
 
-    async def _keep_one_ready(self) -> None:
+    async def _keep_one_ready(self, used: aiomqtt.Client, of: Companions) -> None:
         """Keep a connection to the next address, for ever; cancelled, it leaves it as it is."""
         back_off = broker_back_off()
-        if not self._turns.others():
-            await asyncio.Event().wait()
-        for settings in itertools.cycle(self._turns.others()):
-            try:
-                self._ready = await self._connected(settings)
-                back_off.reset()
-                await keep_asking(self._ready.client, self._within_s)
-            except Exception as error:
-                if self._ready is not None:
-                    await _hung_up(self._ready.stack, error)
-                    self._ready = None
-            await asyncio.sleep(back_off.next_delay())
+        try:
+            for settings in itertools.cycle(self._turns.others()):
+                try:
+                    ready = self._ready = await self._connected(settings)
+                    back_off.reset()
+                    await first_to_end(
+                        keep_asking(ready.client, self._within_s),
+                        self._compare(used, ready, of),
+                    )
+                except Exception as error:
+                    if self._ready is not None:
+                        await _hung_up(self._ready.stack, error)
+                        self._ready = None
+                self.is_apart = False
+                await asyncio.sleep(back_off.next_delay())
+        finally:
+            self.is_apart = False
+
+    async def _compare(self, used: aiomqtt.Client, ready: _Ready, of: Companions) -> None:
+        """Find out time and again whether two nodes hear each other."""
+
+        def told(is_heard: bool) -> None:
+            self._is_echo_heard |= is_heard
+            if self.is_apart != is_heard or not self._is_echo_heard:
+                return
+            self.is_apart = not is_heard
+            state = "are one cluster again" if is_heard else "do not hear each other: both are used"
+            here, there = self.settings, ready.settings
+            places = here.host, here.port, there.host, there.port
+            _log.warning("%s: the brokers at %s:%d and %s:%d %s", self._role, *places, state)
+            if of.beside is not None:
+                of.beside(None if is_heard else ready.client)
+
+        echo = _Echo(f"{self._echo_topic}/{secrets.token_hex(4)}", told, of.confirm)
+        await ready.client.subscribe(echo.topic)
+        if of.prepare is not None:
+            await of.prepare(ready.client)
+        await first_to_end(echo.listen(ready.client, of.take), echo.say(used, self._within_s))
+
+
+class _Echo:
+    """A message that is published at one node, and listened for at another."""
+
+    MISSED = 3
+    """In a row, after which it stays away. Our own pauses cost one."""
+    REMEMBERED = 100
+
+    def __init__(self, topic: str, told: Callable[[bool], None], confirm: Confirm | None) -> None:
+        """topic: of this pair of connections alone. told: whether it is heard."""
+        self.topic = topic
+        self._told = told
+        self._confirm = confirm
+        self._said: dict[int, float] = {}
+        self._number = self._heard = 0
+
+    async def say(self, used: aiomqtt.Client, within_s: float) -> None:
+        """Publish one after another, and tell when none comes back for about ``within_s``; for ever."""
+        while True:
+            self._number += 1
+            self._said[self._number] = time.monotonic()
+            self._said.pop(self._number - self.REMEMBERED, None)
+            # By the client itself, whose messages leave in the order of publishing: poses come before.
+            used._client.publish(self.topic, EchoMessage(number=self._number).payload())
+            await asyncio.sleep(within_s / self.MISSED)
+            if self._number - self._heard >= self.MISSED:
+                self._told(False)
+
+    async def listen(self, ready: aiomqtt.Client, take: Callable[[aiomqtt.Message], None] | None) -> None:
+        """Take what is heard; for ever. Raises ``aiomqtt.MqttError`` when the connection is lost."""
+        async for message in ready.messages:
+            if message.topic.value == self.topic:
+                self._take(message.payload)
+            elif take is not None:
+                take(message)
+
+    def _take(self, payload: Any) -> None:
+        try:
+            number = EchoMessage.model_validate_json(payload).number
+        except ValidationError:
+            return
+        said_s = self._said.pop(number, None)
+        if said_s is None:
+            return
+        self._heard = max(self._heard, number)
+        self._told(True)
+        if self._confirm is not None:
+            self._confirm(said_s)
 
 
 async def _hung_up(stack: AsyncExitStack, reason: Exception) -> None:

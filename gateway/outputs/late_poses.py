@@ -8,19 +8,30 @@ late pose has the ``instance`` and ``seq`` of the live one, so that whoever join
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import time
 from collections import deque
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
+import aiomqtt
+from paho.mqtt.properties import Properties
+
+from devices.link import gateway_time_ns
+from gateway.contract.topics import Topics
 from gateway.errors import OutputError
+from gateway.outputs.pose_encoding import Outgoing
+from gateway.outputs.settings import LateSettings
 
 CONFIRMED_S = 0.5
 """An answer confirms what was published so long before: the broker has passed that on to its cluster too."""
 LONGEST_UNCONFIRMED = 5000
 """Poses held in memory."""
+_TOGETHER = 10
+"""Late poses whose acknowledgements are waited for at once."""
 _MB = 1_000_000
 _log = logging.getLogger(__name__)
 
@@ -123,3 +134,50 @@ class LatePoses:
             other.write_bytes(rest)
             other.replace(self._path)
         self._file.close()
+
+
+class LateOutlet:
+    """Keeps the poses of one gateway, as they would be published, and publishes those that are late."""
+
+    def __init__(
+        self, settings: LateSettings, topics: Topics, instance: str, properties: Properties | None
+    ) -> None:
+        """properties: of every message (MQTT 5). Raises ``OutputError`` where nothing can be kept."""
+        self.kept = 0
+        """Poses that were kept and not handed to a connection before."""
+        self.poses = LatePoses(settings.folder / f"{topics.gateway}.late.jsonl", instance, settings.most_mb)
+        self._topics = topics
+        self._properties = properties
+        self._interval_s = _TOGETHER / settings.rate
+
+    def keep(self, outgoing: Sequence[Outgoing] | None) -> None:
+        """Keep the pose among the messages of a frame to be sent later."""
+        for each in outgoing or ():
+            if each.topic == self._topics.pose:
+                self.poses.keep(each.payload)
+                self.kept += 1
+
+    def hold(self, outgoing: Sequence[Outgoing]) -> None:
+        """Hold the pose among what is about to be published, in case the connection is dead already."""
+        for each in outgoing:
+            if each.topic == self._topics.pose:
+                self.poses.published(each.payload)
+
+    async def send(self, client: aiomqtt.Client, may_send: Callable[[], bool | None]) -> None:
+        """Publish what was kept beside the live poses; returns when that wants another connection.
+
+        may_send: whether now; None: over another connection. Raises ``aiomqtt.MqttError``.
+        """
+        while True:
+            may = may_send() if self.poses.has_some else False
+            if may is None:
+                return
+            if may:
+                poses = self.poses.next(_TOGETHER, gateway_time_ns())
+                publishing = (
+                    client.publish(self._topics.late_pose, pose, qos=1, properties=self._properties)
+                    for pose in poses
+                )
+                await asyncio.gather(*publishing)
+                self.poses.done(len(poses))
+            await asyncio.sleep(self._interval_s)

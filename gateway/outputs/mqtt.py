@@ -18,7 +18,6 @@ from typing import Any, Self
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
-from paho.mqtt.subscribeoptions import SubscribeOptions
 from pydantic import TypeAdapter
 
 from devices.link import gateway_time_ns
@@ -36,10 +35,10 @@ from gateway.contract.messages import (
 )
 from gateway.contract.properties import JSON, properties_of
 from gateway.contract.topics import BRIDGE_INFO, Topics
-from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
 from gateway.outputs.connection import (
+    TIMEOUT_S,
     broker_back_off,
     broker_connection,
     check_admittance,
@@ -52,13 +51,14 @@ from gateway.outputs.connection import (
     unique_identifier,
 )
 from gateway.outputs.direct_publishing import DirectPublisher
-from gateway.outputs.failover import BrokerTurns, ClusterConnection, keep_asking
+from gateway.outputs.failover import BrokerTurns, ClusterConnection, Companions, keep_asking
 from gateway.outputs.home_assistant import discovery
-from gateway.outputs.late_poses import LatePoses
+from gateway.outputs.late_poses import LateOutlet
 from gateway.outputs.output import Thinning
-from gateway.outputs.own_topics import PublishRights, TwinWatch
+from gateway.outputs.own_topics import PublishRights
 from gateway.outputs.pose_encoding import Outgoing, PosePublications
 from gateway.outputs.queues import PoseQueue, RetainedMessages
+from gateway.outputs.same_name import NameGuard, NameTaken
 from gateway.outputs.settings import MqttSettings
 
 logger = logging.getLogger(__name__)
@@ -68,22 +68,17 @@ _OFFLINE = BridgeState(state="offline").payload()
 
 _FAREWELL_S = 1.5
 """Longest time to publish what is queued, say offline and disconnect."""
+_ELECTION_S = 12.0
+"""Longest wait for a cluster that has lost its leader. A connection that is given up before it was let in
+leaves a will behind: the broker then says offline of a gateway that is there."""
 _DRAIN_S = 0.5
 """Part of it for the queue."""
 
 
 _PROBE_INTERVAL_S = 2.0
 """Between two poses that the broker is to answer for."""
-_RETAINED_S = 0.5
-"""Time for what a broker keeps to come after a subscription."""
 _POSES_A_TURN = 8
 """Of a burst; links are read in between."""
-_LATE_TOGETHER = 10
-"""Late poses whose acknowledgements are waited for at once."""
-
-
-class _NameTaken(OutputError):
-    """Another gateway has our name, and we are not to publish beside it."""
 
 
 def _door(settings: MqttSettings) -> dict[str, object]:
@@ -122,8 +117,7 @@ class MqttOutput:
         self.instance = secrets.token_hex(8)
         """Another one for every output that is made: tells gateways of one name apart."""
         self.rights = PublishRights(are_reported=settings.spoken_protocol == "5")
-        self._twins = TwinWatch(self.topics, self.instance)
-        self._name_taken: asyncio.Future[None] | None = None
+        self._name = NameGuard(settings, self.topics, self.instance)
         self._probe_due = 0.0
         self._info = info = info.model_copy(update={"instance": self.instance})
         self._utc: UtcAnchor | None = None
@@ -140,13 +134,14 @@ class MqttOutput:
         self._thinning = Thinning(settings.pose_rate)
         self._relief = Thinning(None)
         self._queue = PoseQueue(settings.queue_length)
-        self._late: LatePoses | None = None
+        self._late: LateOutlet | None = None
         self._turns = BrokerTurns(settings, settings.port)
         self._poses: ClusterConnection | None = None  # where there is a cluster
         self._is_announced = asyncio.Event()
-        self._published = self._dropped = self._thinned = self._connections = self._kept_late = 0
+        self._published = self._dropped = self._thinned = self._connections = 0
         self._in_hand = 0  # 1 while a pose is on its way to the broker
         self._direct: DirectPublisher | None = None  # while poses may go out
+        self._beside: DirectPublisher | None = None  # while two brokers of a cluster do not hear each other
         self._direct_in_turn = 0  # poses published at once since the event loop last had its turn
         self._complaints: set[str] = set()
         self._wake = asyncio.Event()
@@ -164,7 +159,7 @@ class MqttOutput:
             dropped=self._dropped + self._queue.dropped,
             thinned=self._thinned,
             queued=len(self._queue) + self._in_hand,
-            late=self._kept_late,
+            late=0 if self._late is None else self._late.kept,
             connections=self._connections,
         )
 
@@ -176,22 +171,21 @@ class MqttOutput:
     @property
     def twin(self) -> str | None:
         """Instance of another gateway of the same name that was heard lately."""
-        return self._twins.twin
+        return self._name.twin
 
     async def until_name_is_taken(self) -> None:
         """Wait for ever, unless another gateway has the name and the settings say ``refuse``.
 
         Raises ``OutputError`` then.
         """
-        assert self._name_taken is not None, "not started"
-        await asyncio.shield(self._name_taken)
+        await self._name.until_taken()
 
     def offer(self, frame: SkeletonFrame) -> None:
         """Take a frame for publishing. Never waits; where too many wait the oldest gives way."""
         if not (self._thinning.admits(frame.time_ns) and self._relief.admits(frame.time_ns)):
             self._thinned += 1
         elif self._late is not None and not self.is_connected:
-            self._keep_late(frame, self._late)
+            self._keep_late(frame)
         elif not self._published_at_once(frame):
             self._queue.put(frame)
             self._wake.set()
@@ -211,11 +205,11 @@ class MqttOutput:
         outgoing = self._encoded(frame)
         if outgoing is None:
             return True
-        self._hold(outgoing)
+        self._hand_beside(outgoing)
         try:
             is_taken = direct.publish(outgoing)
         except aiomqtt.MqttError:
-            self._dropped += 1
+            self._count_unsent(1)
             self._direct = None  # the connection is lost, and its task about to hear of it
             return True
         if is_taken:
@@ -224,20 +218,6 @@ class MqttOutput:
             self._in_hand = 1
             self._wake.set()
         return True
-
-    def _keep_late(self, frame: SkeletonFrame, late: LatePoses) -> None:
-        """Keep a pose to be sent later."""
-        for outgoing in self._encoded(frame) or ():
-            if outgoing.topic == self.topics.pose:
-                late.keep(outgoing.payload)
-                self._kept_late += 1
-
-    def _hold(self, outgoing: list[Outgoing]) -> None:
-        """Hold what is about to be published, for the case that the connection is dead already."""
-        if self._late is not None:
-            for each in outgoing:
-                if each.topic == self.topics.pose:
-                    self._late.published(each.payload)
 
     def publish_beside(self, topic: str, payload: bytes) -> bool:
         """Publish a message beside the poses, below the gateway's topics, if the broker's socket takes it at
@@ -250,6 +230,19 @@ class MqttOutput:
         except aiomqtt.MqttError:
             return False
         return True
+
+    def _keep_late(self, frame: SkeletonFrame) -> None:
+        """Keep a pose to be sent later, where that is asked for."""
+        if self._late is not None:
+            self._late.keep(self._encoded(frame))
+
+    def _hand_beside(self, outgoing: list[Outgoing]) -> None:
+        """Hand what is about to be published to whatever else takes it: late poses, a second connection."""
+        if self._late is not None:
+            self._late.hold(outgoing)
+        if self._beside is not None and self._beside.is_free:
+            with contextlib.suppress(aiomqtt.MqttError):  # it is replaced by those who keep it
+                self._beside.publish(outgoing)
 
     def _begin_turn(self) -> None:
         self._direct_in_turn = 0
@@ -337,12 +330,11 @@ class MqttOutput:
                 await self._broker.start()
             self.port = self._broker.port
         if self._settings.late is not None:
-            late = self._settings.late
-            path = late.folder / f"{self._info.gateway}.late.jsonl"
-            self._late = LatePoses(path, self.instance, late.most_mb)
+            self._late = LateOutlet(self._settings.late, self.topics, self.instance, self._properties)
+            self._queue.on_overflow = self._keep_late
         self._turns = BrokerTurns(self._settings, self.port)
         self._started = time.monotonic()
-        self._name_taken = asyncio.get_running_loop().create_future()
+        self._name.begin()
         self._task = asyncio.create_task(self._run(), name="mqtt output")
 
     async def stop(self) -> None:
@@ -352,10 +344,12 @@ class MqttOutput:
         if self._task is not None:
             if self.is_connected:
                 await asyncio.wait({self._task}, timeout=_FAREWELL_S)
+            if not self._task.done():
+                self._keep_unsent()
             await end_tasks(self._task)
             self._task = None
         if self._late is not None:
-            self._late.close()
+            self._late.poses.close()
             self._late = None
         if self._successor is not None:
             self._successor._broker, self._broker = self._broker, None
@@ -381,7 +375,11 @@ class MqttOutput:
             await self._run_main()
             return
         self._poses = ClusterConnection(
-            self._settings, self.port, self._info.gateway, on_answer=self.rights.answered
+            self._settings,
+            self.port,
+            self._info.gateway,
+            self.topics.bridge_echo,
+            on_answer=self.rights.answered,
         )
         poses = asyncio.create_task(self._run_poses(self._poses), name="poses to the cluster")
         try:
@@ -393,13 +391,24 @@ class MqttOutput:
     async def _run_poses(self, connection: ClusterConnection) -> None:
         """Publish poses alone, over connections on which nothing has to wait for the cluster to agree."""
         await self._is_announced.wait()  # or others would hear poses of a gateway that they do not know
-        confirmed = None if self._late is None else self._late.confirmed
         await connection.run(
-            self._publish_poses_alone, confirmed, self._lost_poses_connection, self._stopping
+            self._publish_poses_alone,
+            self._lost_poses_connection,
+            self._stopping,
+            Companions(
+                None if self._late is None else self._late.poses.confirmed, beside=self._publish_beside
+            ),
         )
+
+    def _publish_beside(self, client: aiomqtt.Client | None) -> None:
+        """Publish poses over a second connection too, from now on; None: no longer."""
+        self._beside = None if client is None else self._direct_publisher(client)
+        if client is not None and self._late is not None:
+            self._late.poses.connection_lost()  # nobody beyond the broker in use may have heard them
 
     async def _publish_poses_alone(self, client: aiomqtt.Client) -> None:
         self._note_connection()
+        self._beside = None
         with self._handing_over(client) as direct:
             self._direct = direct
             while not self._stopping.is_set():
@@ -408,15 +417,25 @@ class MqttOutput:
                 await self._wake.wait()
             await self._publish_queue(client, direct)
 
+    def _direct_publisher(self, client: aiomqtt.Client) -> DirectPublisher:
+        return DirectPublisher(client, has_properties=self._settings.spoken_protocol == "5")
+
     @contextlib.contextmanager
     def _handing_over(self, client: aiomqtt.Client) -> Iterator[DirectPublisher]:
         """Give what hands poses to a connection; one that is on its way at the end is counted as dropped."""
         try:
-            yield DirectPublisher(client, has_properties=self._settings.spoken_protocol == "5")
+            yield self._direct_publisher(client)
         finally:
             self._direct = None
-            self._dropped += self._in_hand
+            self._count_unsent(self._in_hand)
             self._in_hand = 0
+
+    def _count_unsent(self, poses: int) -> None:
+        """Count poses that a connection did not take; where late ones are kept, it was held."""
+        if self._late is None:
+            self._dropped += poses
+        else:
+            self._late.kept += poses
 
     def _lost_poses_connection(self, error: Exception) -> None:
         self._report_outage(error)
@@ -427,21 +446,26 @@ class MqttOutput:
         back_off = broker_back_off()
         will = aiomqtt.Will(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
         while not self._stopping.is_set():
+            if self._poses is not None and self.is_connected and not self._turns.has_failed:
+                self._turns.use(self._poses.settings)
             settings, is_all_away = self._turns.settings, True
             try:
                 async with broker_connection(
-                    settings, settings.port, self._identifier, will, on_answer=self.rights.answered
+                    settings,
+                    settings.port,
+                    self._identifier,
+                    will,
+                    on_answer=self.rights.answered,
+                    timeout_s=TIMEOUT_S if self._poses is None else _ELECTION_S,
                 ) as client:
                     back_off.reset()
                     self._turns.succeeded()
                     self.rights.begin_again()
                     self._probe_due = 0.0
-                    await self._watch_own_topics(client)
+                    await self._name.watch(client, self._where, is_first=not self._connections)
                     # A publication may go on waiting for a connection that is lost already.
                     await first_to_end(self._listen(client), self._serve(client), *self._watch(client))
-            except _NameTaken as error:
-                assert self._name_taken is not None
-                self._name_taken.set_exception(error)
+            except NameTaken:
                 return
             except Exception as error:
                 if self._poses is None:
@@ -449,91 +473,44 @@ class MqttOutput:
                 else:
                     logger.debug("%s: what is retained waits: %s", self._turns.settings.port, error)
                 is_all_away = self._turns.failed()
+                if self._poses is None:
+                    self._keep_unsent()
             if self._poses is None:
                 self.is_connected = self._queue.has_broker = False
-                self._keep_unsent()
             if is_all_away:
                 await nap(back_off.next_delay(), self._stopping)
 
     def _watch(self, client: aiomqtt.Client) -> list[Coroutine[Any, Any, None]]:
         """Return what goes on beside publishing where a silent broker is to be noticed soon."""
         parts: list[Coroutine[Any, Any, None]] = []
-        if self._late is not None and self._settings.late is not None:
-            parts.append(self._send_late(client, self._late, self._settings.late.rate))
+        if self._late is not None:
+            parts.append(self._late.send(client, self._may_send_late))
             if self._poses is None:
-                parts.append(keep_asking(client, self._settings.answer_within, self._late.confirmed))
+                parts.append(keep_asking(client, self._settings.answer_within, self._late.poses.confirmed))
         return parts
+
+    def _may_send_late(self) -> bool | None:
+        """Whether late poses are to go out now; None: over another broker, to which live ones go."""
+        if self._poses is None:
+            return self.is_connected
+        if self.is_connected and self._poses.settings != self._turns.settings:
+            return None
+        return self.is_connected and not self._poses.is_apart
 
     def _keep_unsent(self) -> None:
         """Have what waits, or may not have arrived, sent later, where that is asked for."""
-        if self._late is None or self._stopping.is_set():
+        if self._late is None:
             return
-        self._late.connection_lost()
+        self._late.poses.connection_lost()
         while self._queue:
-            self._keep_late(self._queue.take(), self._late)
-
-    async def _send_late(self, client: aiomqtt.Client, late: LatePoses, rate: float) -> None:
-        """Publish what was kept beside the live poses, ``rate`` a second, as long as there is a broker."""
-        while True:
-            poses = (
-                late.next(_LATE_TOGETHER, gateway_time_ns()) if self.is_connected and late.has_some else []
-            )
-            if poses or late.has_some:
-                publishing = (
-                    client.publish(self.topics.late_pose, pose, qos=1, properties=self._properties)
-                    for pose in poses
-                )
-                await asyncio.gather(*publishing)
-                late.done(len(poses))
-            await asyncio.sleep(_LATE_TOGETHER / rate)
-
-    async def _watch_own_topics(self, client: aiomqtt.Client) -> None:
-        """Subscribe to what tells of another gateway of our name.
-
-        Raises ``_NameTaken`` where there is one and the settings say ``refuse``.
-        """
-        if self._settings.same_name == "ignore":
-            return
-        for topic in self._twins.watched:
-            if self.rights.are_reported:
-                await client.subscribe(topic, options=SubscribeOptions(qos=1, noLocal=True))
-            else:
-                await client.subscribe(topic, qos=1)
-        if self._settings.same_name == "refuse" and not self._connections:
-            await self._make_sure_to_be_alone(client)
-
-    async def _make_sure_to_be_alone(self, client: aiomqtt.Client) -> None:
-        await self._listen_for(client, _RETAINED_S, lambda: self._twins.is_suspected)
-        if self._twins.is_suspected:
-            beat_s = 2 * self._settings.health_interval + _RETAINED_S
-            await self._listen_for(client, beat_s, lambda: self.twin is not None)
-        if self.twin is not None:
-            raise _NameTaken(
-                f"another gateway named '{self._info.gateway}' publishes at "
-                f"{self._where} (instance {self.twin}): give one of them another name "
-                "(gateway: …), or stop it"
-            )
-
-    async def _listen_for(
-        self, client: aiomqtt.Client, seconds: float, is_enough: Callable[[], bool]
-    ) -> None:
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(seconds):
-                async for message in client.messages:
-                    self._take(message)
-                    if is_enough():
-                        return
+            self._keep_late(self._queue.take())
 
     async def _listen(self, client: aiomqtt.Client) -> None:
         """Until the connection ends; raises ``aiomqtt.MqttError`` when it was lost."""
         async for message in client.messages:
-            if self._take(message) and not self._stopping.is_set():
+            if self._name.take(message) and not self._stopping.is_set():
                 self._retained.keep(self.topics.bridge_info, self._info.payload())
                 self._retained.keep(self.topics.bridge_state, _ONLINE)
-
-    def _take(self, message: aiomqtt.Message) -> bool:
-        payload = message.payload if isinstance(message.payload, bytes) else b""
-        return self._twins.take(message.topic.value, payload, is_retained=message.retain)
 
     async def _serve(self, client: aiomqtt.Client) -> None:
         """Announce the gateway, then publish until stopped."""
@@ -641,7 +618,7 @@ class MqttOutput:
         Only QoS 1 is answered: now and then a pose goes out so, and while topics are refused no other does.
         The answer is waited for unless the one before was good.
         """
-        self._hold(outgoing)
+        self._hand_beside(outgoing)
         is_probe = self.rights.are_reported and time.monotonic() >= self._probe_due
         if not is_probe:
             direct.publish([each for each in outgoing if each.topic not in self.rights.refused])

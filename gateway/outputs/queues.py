@@ -30,7 +30,9 @@ class PoseQueue:
     def __init__(self, length: int, clock: Callable[[], float] = time.monotonic) -> None:
         """length: poses kept while the broker is slow or away; clock in s."""
         self.dropped = 0
-        """Poses that gave way to newer ones."""
+        """Poses that gave way to newer ones, and that nobody was given."""
+        self.on_overflow: Callable[[SkeletonFrame], None] | None = None
+        """Given the poses that give way, oldest first. None: they are dropped."""
         self._has_broker = False
         self._length = length
         self._clock = clock
@@ -81,8 +83,11 @@ class PoseQueue:
 
     def _shorten(self, length: int) -> None:
         while len(self._poses) > length:
-            self._poses.popleft()
-            self.dropped += 1
+            frame, _ = self._poses.popleft()
+            if self.on_overflow is None:
+                self.dropped += 1
+            else:
+                self.on_overflow(frame)
 
 
 _TOGETHER = 10

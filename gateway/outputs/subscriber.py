@@ -31,26 +31,15 @@ from gateway.contract.messages import (
     PoseMessage,
 )
 from gateway.contract.topics import ANY_GATEWAY, Topics
-from gateway.errors import GatewayError
-from gateway.outputs.connection import (
-    broker_back_off,
-    broker_connection,
-    end_tasks,
-    explain,
-    first_to_end,
-    unique_identifier,
-)
-from gateway.outputs.failover import ClusterConnection, follow_kept
+from gateway.outputs.connection import end_tasks
+from gateway.outputs.pose_order import PoseOrder
+from gateway.outputs.receiving import Receiver
 from gateway.outputs.settings import MqttSettings
 
 logger = logging.getLogger(__name__)
 
 _LONGEST_BACKLOG = 256
 """Poses kept for a reader that is slower than the stream; then the oldest is dropped."""
-
-
-class BrokerUnreachableError(GatewayError, ConnectionError):
-    """No broker there, or it refuses us. ``str(error)`` says which and what would do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +63,9 @@ class PoseSubscriber:
     """Receives the poses of one gateway, or of all below the base topic.
 
     Connects on entering, which raises ``BrokerUnreachableError``; a connection lost later is made again
-    for ever. One reader iterates; what it does not take in time is dropped, oldest first.
-    Messages are input from outside: what does not decode is counted, never raised.
+    for ever, at another node of a cluster where there is one. One reader iterates; what it does not take in
+    time is dropped, oldest first. Messages are input from outside: what does not decode is counted, never
+    raised.
     """
 
     def __init__(
@@ -89,11 +79,12 @@ class PoseSubscriber:
         self.healths: dict[str, BridgeHealth] = {}
         self.markers: dict[str, MarkersMessage] = {}
         """The last of each gateway."""
-        self.is_connected = False
         self.undecodable = 0
         """Messages that were not what their topic promises."""
         self.dropped = 0
         """Poses that the reader did not take in time."""
+        self.overtaken = 0
+        """Poses that came when a newer one of their gateway had come: left out."""
         self._with_markers = with_markers
         self._settings = settings
         self._topics = Topics(settings.base_topic, gateway)
@@ -102,17 +93,22 @@ class PoseSubscriber:
         if with_markers:
             self._passing.append(self._topics.markers)
         self._backlog: deque[ReceivedPose] = deque()
+        self._orders: dict[str, PoseOrder] = {}
         self._arrival = asyncio.Event()
+        self._receiver: Receiver | None = None
         self._task: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
-        subscribed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._task = asyncio.create_task(self._receive_for_ever(subscribed), name="pose subscriber")
+        receiver = self._receiver = Receiver(
+            self._settings, "subscriber", self._passing, self._kept, self._read
+        )
+        self._task = asyncio.create_task(receiver.run(), name="pose subscriber")
+        waiting = asyncio.ensure_future(receiver.subscribed.wait())
         try:
-            await asyncio.wait({self._task, subscribed}, return_when=asyncio.FIRST_COMPLETED)
-            if not subscribed.done():
+            await asyncio.wait({self._task, waiting}, return_when=asyncio.FIRST_COMPLETED)
+            waiting.cancel()
+            if self._task.done():
                 self._task.result()
-            subscribed.result()
         except BaseException:
             await self._end()
             raise
@@ -122,6 +118,11 @@ class PoseSubscriber:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self._end()
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether there is a broker at the moment."""
+        return self._receiver is not None and self._receiver.is_connected
 
     async def __aiter__(self) -> AsyncIterator[ReceivedPose]:
         while True:
@@ -134,72 +135,6 @@ class PoseSubscriber:
         if self._task is not None:
             await end_tasks(self._task)
             self._task = None
-
-    async def _receive_for_ever(self, subscribed: asyncio.Future[None]) -> None:
-        if self._settings.failover:
-            await self._receive_from_cluster(subscribed)
-            return
-        back_off = broker_back_off()
-        port = self._settings.port
-        while True:
-            try:
-                # Not the client_id of the settings: that is the gateway's own.
-                identifier = unique_identifier("subscriber")
-                async with broker_connection(self._settings, port, identifier) as client:
-                    await self._subscribe(client)
-                    back_off.reset()
-                    if not subscribed.done():
-                        subscribed.set_result(None)
-                    await self._receive(client)
-            except Exception as error:
-                reason = explain(error, self._settings, port)
-                if not subscribed.done():
-                    subscribed.set_exception(BrokerUnreachableError(reason))
-                    return
-                if self.is_connected:
-                    logger.warning("%s; trying again", reason)
-            self.is_connected = False
-            await asyncio.sleep(back_off.next_delay())
-
-    async def _receive_from_cluster(self, subscribed: asyncio.Future[None]) -> None:
-        connection = ClusterConnection(self._settings, self._settings.port, "subscriber")
-        refused = 0
-
-        async def use(client: aiomqtt.Client) -> None:
-            await client.subscribe([(topic, 0) for topic in self._passing])
-            self.is_connected = True
-            if not subscribed.done():
-                subscribed.set_result(None)
-            await self._receive(client)
-
-        def lost(error: Exception) -> None:
-            nonlocal refused
-            refused += 1
-            settings = connection.settings
-            reason = explain(error, settings, settings.port)
-            if not subscribed.done() and refused > len(self._settings.failover):
-                subscribed.set_exception(BrokerUnreachableError(reason))
-            elif self.is_connected:
-                logger.warning("%s; going on with another node", reason)
-            self.is_connected = False
-
-        await first_to_end(
-            connection.run(use, None, lost, asyncio.Event()),
-            follow_kept(self._settings, "subscriber", self._kept, self._read),
-        )
-
-    async def _subscribe(self, client: aiomqtt.Client) -> None:
-        await client.subscribe([(topic, 1) for topic in self._kept] + [(topic, 0) for topic in self._passing])
-        self.is_connected = True
-
-    async def _receive(self, client: aiomqtt.Client) -> None:
-        async for message in client.messages:
-            self._read(message)
-            # aiomqtt takes several turns of the event loop for each message, and a burst comes faster.
-            while not client._queue.empty():
-                self._read(client._queue.get_nowait())
-                if len(self._backlog) == _LONGEST_BACKLOG:
-                    await asyncio.sleep(0)  # let the reader take them
 
     def _read(self, message: aiomqtt.Message) -> None:
         arrived_ns = gateway_time_ns()
@@ -219,6 +154,9 @@ class PoseSubscriber:
         match topic:
             case topics.POSE if not message.retain:
                 pose = PoseMessage.model_validate_json(payload)
+                if not self._orders.setdefault(gateway, PoseOrder()).is_new(pose.seq, pose.t_ns):
+                    self.overtaken += 1
+                    return
                 if len(self._backlog) == _LONGEST_BACKLOG:
                     self._backlog.popleft()
                     self.dropped += 1
@@ -229,7 +167,8 @@ class PoseSubscriber:
             case topics.BRIDGE_STATE:
                 self.states[gateway] = BridgeState.model_validate_json(payload).state
             case topics.BRIDGE_INFO:
-                self.infos[gateway] = BridgeInfo.model_validate_json(payload)
+                self.infos[gateway] = info = BridgeInfo.model_validate_json(payload)
+                self._orders.setdefault(gateway, PoseOrder()).note_instance(info.instance)
             case topics.BRIDGE_HEALTH:
                 self.healths[gateway] = BridgeHealth.model_validate_json(payload)
             case topics.BODY:

@@ -1,4 +1,5 @@
-"""Requests about the gateway itself: ``gateway/info``, ``health``, ``reload``, ``examine``, ``connect``."""
+"""Requests about the gateway itself: ``gateway/info``, ``health``, ``reload``, ``examine``, ``connect``,
+``configure``, ``confirm``."""
 
 from __future__ import annotations
 
@@ -6,13 +7,15 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from gateway.contract.requests import ConnectRequest, asked
+from gateway.contract.requests import ConfigureRequest, ConfirmRequest, ConnectRequest, asked
 from gateway.errors import GatewayError
 from gateway.outputs.mqtt import MqttOutput
 
 Reload = Callable[[], Awaitable[None]]
 Examine = Callable[[], Awaitable[dict[str, Any]]]
 Connect = Callable[[ConnectRequest], Awaitable[dict[str, Any]]]
+Configure = Callable[[ConfigureRequest], Awaitable[dict[str, Any]]]
+Confirm = Callable[[ConfirmRequest], Awaitable[dict[str, Any]]]
 _NO_FILE = "this gateway has no configuration file {}: start it with `mocap-gateway run -c FILE`"
 
 
@@ -26,6 +29,10 @@ class OwnRequests:
         """What the doctor finds of this gateway. None: nobody is there to look."""
         self.on_connect: Connect | None = None
         """Has a link use another port. None: there is no file of the configuration."""
+        self.on_configure: Configure | None = None
+        """Takes other settings into use. None: there is no file of the configuration."""
+        self.on_confirm: Confirm | None = None
+        """Keeps them."""
         self._mqtt = mqtt
         self._reloading = asyncio.Lock()
 
@@ -34,6 +41,12 @@ class OwnRequests:
         request = asked("gateway", verb, data)
         if isinstance(request, ConnectRequest):
             return await self._connect(request)
+        if isinstance(request, ConfigureRequest):
+            return await self._configure(request)
+        if isinstance(request, ConfirmRequest):
+            if self.on_confirm is None:
+                raise GatewayError(_NO_FILE.format("to change"))
+            return await self.on_confirm(request)
         if verb == "reload":
             return await self._reload()
         if verb == "examine":
@@ -48,6 +61,12 @@ class OwnRequests:
             raise GatewayError(_NO_FILE.format("to change"))
         async with self._reloading:
             return await self.on_connect(request)
+
+    async def _configure(self, request: ConfigureRequest) -> dict[str, Any]:
+        if self.on_configure is None:
+            raise GatewayError(_NO_FILE.format("to change"))
+        async with self._reloading:
+            return await self.on_configure(request)
 
     async def _reload(self) -> dict[str, Any]:
         if self.on_reload is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import types
 import typing
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -75,8 +76,11 @@ def _text_of(path: Path) -> str:
     return data.decode("utf-8")
 
 
-def load_settings(path: Path, model: type[Model]) -> Model:
-    """Return a YAML file as ``model``. Raises ``SettingsError`` with one line for each thing wrong."""
+def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | None = None) -> Model:
+    """Return a YAML file as ``model``. Raises ``SettingsError`` with one line for each thing wrong.
+
+    changes: values that count instead of those of the file, nested as there.
+    """
     content = load_yaml(path)
     if content is None:
         raise SettingsError(f"{path}: is empty: 'key: value' lines are wanted")
@@ -84,6 +88,8 @@ def load_settings(path: Path, model: type[Model]) -> Model:
         raise SettingsError(
             f"{path}: holds {type(content).__name__}, not named settings ('key: value' lines)"
         )
+    if changes:
+        content = _changed(content, changes)
     try:
         return model.model_validate(content)
     except ValidationError as error:
@@ -93,6 +99,15 @@ def load_settings(path: Path, model: type[Model]) -> Model:
         if len(problems) > _MOST_PROBLEMS:
             lines.append(f"{path}: and {len(problems) - _MOST_PROBLEMS} more like these")
         raise SettingsError("\n".join(lines)) from error
+
+
+def _changed(content: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    changed = dict(content)
+    for name, value in changes.items():
+        inner = changed.get(name)
+        is_section = isinstance(value, Mapping) and isinstance(inner, Mapping)
+        changed[name] = _changed(inner, value) if is_section else value  # type: ignore[arg-type]
+    return changed
 
 
 def _explain(problem: Any, model: type[BaseModel]) -> str:

@@ -16,8 +16,9 @@ from gateway.contract.messages import BodyMessage, MarkersMessage
 from gateway.contract.topics import ANY_GATEWAY
 from gateway.errors import GatewayError
 from gateway.modules.remote import remote_suit
+from gateway.outputs.receiving import BrokerUnreachableError
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
+from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.recording import SkeletonArrays
 from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.assistant import Assistant

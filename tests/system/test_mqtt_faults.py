@@ -14,8 +14,9 @@ import pytest
 
 from gateway.outputs import connection, mqtt
 from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.receiving import BrokerUnreachableError
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
+from gateway.outputs.subscriber import PoseSubscriber
 from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:

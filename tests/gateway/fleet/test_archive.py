@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import shutil
 import stat
 import threading
@@ -23,7 +24,7 @@ from gateway.errors import GatewayError
 from gateway.fleet import solving
 from gateway.fleet.archive import Archive, ArchiveError, Partition
 from gateway.fleet.collecting import Collector
-from gateway.fleet.overview import listen
+from gateway.fleet.overview import listener
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import LateSettings, MqttSettings
 from gateway.recording import open_recording
@@ -210,11 +211,10 @@ async def test_poses_from_a_broker_are_kept(
     mosquitto: Mosquitto, pose_source: PoseSource, archive: Archive, tmp_path: Path, until: Callable[..., Any]
 ) -> None:
     settings = MqttSettings(port=mosquitto.port, late=LateSettings(folder=tmp_path / "late"))
-    collector, ready = Collector(archive, "ward2", "mocap", {}), asyncio.Event()
-    listening = asyncio.create_task(
-        listen(MqttSettings(port=mosquitto.port), collector.take, ready, with_late=True)
-    )
-    await ready.wait()
+    collector = Collector(archive, "ward2", "mocap", {})
+    receiver = listener(MqttSettings(port=mosquitto.port), collector.take)
+    listening = asyncio.create_task(receiver.run())
+    await receiver.subscribed.wait()
     output = MqttOutput(settings, pose_source.skeleton, pose_source.info())
     output.offer(pose_source.frame(0))
     async with output:
@@ -226,3 +226,31 @@ async def test_poses_from_a_broker_are_kept(
     listening.cancel()
     collector.flush()
     assert rows(archive, "SELECT count(DISTINCT seq), sum(late::INT) >= 1 FROM poses")[0][1] is True
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("what", ["expire --before 2026-01-01", "forget anna --yes", "solve --method joint"])
+def test_two_commands_at_once_are_kept_apart(archive: Archive, command: Any, what: str) -> None:
+    path = CAPTURES / "walking.mcap"
+    archive.add(open_recording(path), path, "ward2", "anna")
+    with archive.locked("add"):
+        running = command("fleet", "archive", *what.split(), "--archive", str(archive.folder))
+        assert running.wait() == 1
+    assert f"`fleet archive add` (process {os.getpid()}) works on {archive.folder}: wait" in running.errors
+    assert list(archive.recordings.rglob("*.mcap"))
+
+
+@pytest.mark.system
+def test_a_site_is_collected_for_once_and_nobody_is_forgotten_meanwhile(
+    archive: Archive, command: Any, mosquitto: Mosquitto
+) -> None:
+    folder = str(archive.folder)
+    with archive.collecting("ward2"):
+        options = ("--archive", folder, "--site", "ward2", "--port", str(mosquitto.port), "--seconds", "2")
+        again = command("fleet", "archive", "collect", *options)
+        assert again.wait() == 1
+        assert "`fleet archive collect --site ward2` (process" in again.errors
+        forgetting = command("fleet", "archive", "forget", "anna", "--yes", "--archive", folder)
+        assert forgetting.wait() == 1
+        assert "collect --site ward2" in forgetting.errors
+    assert command("fleet", "archive", "collect", *options).wait() == 0

@@ -8,7 +8,7 @@ import itertools
 import os
 import signal
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,23 +64,27 @@ async def offering(output: MqttOutput, source: PoseSource) -> AsyncIterator[list
 async def heard(
     settings: MqttSettings, topic: str, subscribed: asyncio.Event | None = None
 ) -> AsyncIterator[list[aiomqtt.Message]]:
-    """All messages of a filter, as soon as there is a broker. subscribed: set once they are asked for."""
+    """All messages of a filter, from the beginning, or as soon as there is a broker.
+
+    subscribed: set once they are asked for, which is not waited for then."""
     messages: list[aiomqtt.Message] = []
+    is_awaited = subscribed is None
+    asked = subscribed or asyncio.Event()
 
     async def listen() -> None:
         while True:
             with contextlib.suppress(aiomqtt.MqttError):
                 async with broker_connection(settings, settings.port, unique_identifier("test")) as client:
                     await client.subscribe(topic, qos=1)
-                    if subscribed is not None:
-                        subscribed.set()
+                    asked.set()
                     async for message in client.messages:
                         messages.append(message)  # noqa: PERF401 - others look at it meanwhile
             await asyncio.sleep(0.01)
 
     task = asyncio.create_task(listen())
     try:
-        await asyncio.sleep(0.5)
+        if is_awaited:
+            await asked.wait()
         yield messages
     finally:
         task.cancel()
@@ -124,12 +128,112 @@ async def test_poses_go_on_within_two_seconds_and_what_is_missing_comes_late(
         def got() -> set[int]:
             return {seq for _, seq in arrived} | {orjson.loads(each.payload)["seq"] for each in belated}
 
-        await until(lambda: wanted <= got())
-        live = [seq for _, seq in arrived]
-        assert len(live) == len(set(live))
-        reading.cancel()
+        try:
+            await until(lambda: wanted <= got())
+        except TimeoutError:
+            pytest.fail(f"neither live nor late: {sorted(wanted - got())}")
         if how == "freeze":
             os.kill(node.pid, signal.SIGCONT)
+            await until(lambda: poses.overtaken > 0)  # what it had taken, and hands on as if it were live
+        reading.cancel()
+        assert_in_order(seq for _, seq in arrived)
+
+
+def assert_in_order(numbers: Iterable[int]) -> None:
+    assert all(one < later for one, later in itertools.pairwise(numbers))
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("cut_off", [0, 1, 2], ids=["where poses go", "the one that stands by", "another"])
+async def test_nodes_that_do_not_hear_each_other_both_get_poses(
+    cluster: GuardedCluster, pose_source: PoseSource, tmp_path: Path, until: Until, cut_off: int
+) -> None:
+    """Readers are at each node: those who are cut off read another one too."""
+    routes = cluster.routes
+    assert routes is not None
+    late = LateSettings(folder=tmp_path / "late", rate=500)
+    arrived: dict[int, list[tuple[float, int]]] = {0: [], 1: [], 2: []}
+    output = MqttOutput(cluster.settings("lab", late=late), pose_source.skeleton, pose_source.info())
+
+    async def read(node: int, poses: PoseSubscriber) -> None:
+        async for received in poses:
+            arrived[node].append((time.monotonic(), received.pose.seq))
+
+    async with contextlib.AsyncExitStack() as stack:
+        readers = [
+            await stack.enter_async_context(PoseSubscriber(cluster.settings(first=node))) for node in arrived
+        ]
+        reading = [asyncio.create_task(read(node, poses)) for node, poses in enumerate(readers)]
+        for task in reading:
+            stack.callback(task.cancel)
+        settings = cluster.settings(first=(cut_off + 1) % 3)
+        belated = await stack.enter_async_context(heard(settings, "mocap/lab/pose/late"))
+        await stack.enter_async_context(output)
+        offered = await stack.enter_async_context(offering(output, pose_source))
+        await until(lambda: all(len(each) > 3 * RATE_HZ for each in arrived.values()))
+        lateness = await stack.enter_async_context(loop_lateness())
+        routes.cut(cut_off)
+        cut_s = time.monotonic()
+        others = [numbers for node, numbers in arrived.items() if node != cut_off]
+        await until(lambda: all(each[-1][0] - cut_s > RECOVER_S + 2 for each in others))
+        for each in others:
+            longest = max(later[0] - one[0] for one, later in itertools.pairwise(each))
+            assert longest < RECOVER_S + 4 * lateness.worst_s
+        # Its readers subscribe elsewhere, which a cluster that chooses a leader lets wait.
+        await until(lambda: arrived[cut_off][-1][0] - cut_s > RECOVER_S + 2)
+        routes.mend()
+        last = offered[-1]
+        await until(lambda: all(each[-1][1] > last + RATE_HZ for each in arrived.values()))
+
+        def missing(node: int) -> set[int]:
+            came = {seq for _, seq in arrived[node]} | {orjson.loads(each.payload)["seq"] for each in belated}
+            return set(range(min(seq for _, seq in arrived[node]), last)) - came
+
+        await until(lambda: not any(missing(node) for node in arrived if node != cut_off))
+        for numbers in arrived.values():
+            assert_in_order(seq for _, seq in numbers)
+        for node in arrived:
+            async with heard(cluster.settings(first=node), "mocap/lab/bridge/state") as kept:
+                await until(lambda kept=kept: kept and kept[-1].payload == b'{"state":"online"}')
+
+
+@pytest.mark.system
+async def test_poses_that_a_full_queue_gives_up_come_late(
+    mosquitto: Mosquitto, pose_source: PoseSource, tmp_path: Path, until: Until
+) -> None:
+    """A broker that is frozen takes what its socket holds; then the queue runs over."""
+    late = LateSettings(folder=tmp_path / "late", rate=2000)
+    settings = MqttSettings(port=mosquitto.port, late=late)
+    live: list[int] = []
+    async with (
+        heard(MqttSettings(port=mosquitto.port), "mocap/lab/pose/late") as belated,
+        PoseSubscriber(MqttSettings(port=mosquitto.port)) as poses,
+        MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output,
+    ):
+
+        async def read() -> None:
+            async for received in poses:
+                live.append(received.pose.seq)  # noqa: PERF401
+
+        reading = asyncio.create_task(read())
+        await until(lambda: output.is_connected)
+        for seq in range(3000):
+            if seq == 500:
+                mosquitto.freeze()
+            if seq == 2500:
+                mosquitto.thaw()
+            output.offer(pose_source.frame(seq))
+            await asyncio.sleep(0.001)
+        await until(
+            lambda: (
+                {*range(live[0], 2900)} <= {*live} | {orjson.loads(each.payload)["seq"] for each in belated}
+            )
+        )
+        reading.cancel()
+        assert_in_order(live)
+        counters = output.counters
+        assert counters.dropped == 0
+        assert counters.published + counters.queued + counters.late == 3000
 
 
 @pytest.mark.system

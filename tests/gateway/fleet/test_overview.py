@@ -73,6 +73,7 @@ def test_lost_and_repeated_poses_are_counted_once():
     heard.online()
     heard.poses(range(10))
     heard.poses(range(20, 30))  # ten are missing
+    heard.now_s -= 0.5
     heard.poses(range(25, 30))  # and five come twice
     seen = heard.fleet.gateways["lab"]
     assert (seen.received, seen.lost, seen.repeated) == (20, 10, 5)
