@@ -171,23 +171,33 @@ def people_in_common(
     None in the place of a region: the camera does not show the person. One person is always given, though it
     be nobody. Raises ``CameraError`` when there are fewer than are wanted.
     """
-    left = [list(each) for each in people]
-    found: list[list[PersonRegion | None]] = []
-    while wanted is None or len(found) < wanted:
-        chosen = _closest_person(cameras, left, surely=bool(found))
-        if chosen is None:
-            break
-        found.append([None if person is None else person.region for person in chosen])
-        left = [
-            [person for person in each if person is not taken]
-            for each, taken in zip(left, chosen, strict=True)
-        ]
+    found = [
+        [None if person is None else person.region for person in chosen]
+        for chosen in itertools.islice(matched_people(cameras, people, first_surely=False), wanted)
+    ]
     if wanted is not None and 1 < wanted != len(found):
         raise CameraError(
             f"--people {wanted}: {len(found)} seen by two cameras or more in the first pictures; begin "
             "where all of them are in sight (--offset), or take --people all"
         )
     return found or [[None] * len(cameras)]
+
+
+def matched_people(
+    cameras: Sequence[Camera], people: Sequence[Sequence[Person]], *, first_surely: bool = True
+) -> Iterator[tuple[Person | None, ...]]:
+    """Yield who is one person in several cameras, by camera, those whom most of them agree upon first.
+
+    first_surely: whether rays that pass each other like those of two people leave nobody for the first, too.
+    """
+    left, surely = [list(each) for each in people], first_surely
+    while (chosen := _closest_person(cameras, left, surely=surely)) is not None:
+        yield chosen
+        surely = True
+        left = [
+            [person for person in each if person is not taken]
+            for each, taken in zip(left, chosen, strict=True)
+        ]
 
 
 def _closest_person(

@@ -1,7 +1,7 @@
 """Several people at once: each tracked by continuity in maps from which the others are taken out.
 
-Step 9 of JP2020-042476A: people are told apart at the start, by whoever gives their first positions, and keep
-their place in the order from then on.
+Step 9 of JP2020-042476A: people are told apart when they come, by whoever gives their first positions, and keep
+their order from then on.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import itertools
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -42,10 +43,22 @@ class VideoCrowd:
         n_people: int,
         options: VideoOptions | None = None,
     ) -> None:
-        self.people = [VideoReconstructor(cameras, keypoints, options) for _ in range(n_people)]
+        self._make = partial(VideoReconstructor, cameras, keypoints, options)
+        self.people = [self._make() for _ in range(n_people)]
         self.same_as: dict[int, int] = {}
         """People who turned out to be an earlier one, with that one."""
         self._instants_together: Counter[tuple[int, int]] = Counter()
+
+    def enter(self) -> VideoReconstructor:
+        """One more person, behind the others in the order."""
+        self.people.append(self._make())
+        return self.people[-1]
+
+    def leave(self, index: int) -> None:
+        """Forget a person; those behind move up, and who is the same as whom is looked at anew."""
+        del self.people[index]
+        self.same_as.clear()
+        self._instants_together.clear()
 
     def update(self, frames: Sequence[HeatMapFrame]) -> list[VideoPose]:
         """The poses of one instant: one frame of maps for every person, in the order of the start.
