@@ -3,8 +3,8 @@
     {"sequence": 812, "cameras": {"cam01": {"3": [540.0, 910.5, 700.0, 0.0], "4": null}}}
 
 By camera and number of the person the square to look at: its middle, x and y, and its side, pixels; the trunk's
-turn, rad. ``null``: the camera does not see the person. A camera that is named follows nobody else by a number
-of the gateway's.
+turn, rad. ``null``: the camera does not see the person. Somebody of a number of the gateway's who is not named
+any more has left. Number 0 is the one person of a camera that follows one alone.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def read_orders(line: bytes, camera: str) -> CameraOrders | None:
         orders = CameraOrders(int(content["sequence"]), squares)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
         return None
-    is_known = all(0 < number < FOUND_BY_CAMERA for number in squares)
+    is_known = all(0 <= number < FOUND_BY_CAMERA for number in squares)
     return orders if is_known and len(squares) <= MOST_PEOPLE else None
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
@@ -28,8 +28,6 @@ from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video.networks.network import Picture, PoseNetwork, load_network
 from gateway.reconstruction.video.networks.person_detector import Person, PersonDetector
 
-MOST_PEOPLE = 4
-"""Of one picture that are considered, the likeliest ones."""
 _NOWHERE = np.zeros((2, 3))
 _PATIENCE_S = 120.0
 """For one picture: a heavy network on a busy machine takes seconds at the worst."""
@@ -206,18 +204,30 @@ def instant_of(task: CameraTask, info: PictureInfo, index: int, time_ns: int) ->
     return index - task.skip, time_ns - round(task.skip * 1e9 / info.rate_hz)
 
 
-def message_of(
-    follower: PersonFollower, picture: Picture, task: CameraTask, sequence: int, time_ns: int
+def messages_of(
+    people: Mapping[int, CameraHeatMaps | None], task: CameraTask, sequence: int, time_ns: int
 ) -> bytes:
-    """The heat maps of one picture as they go over the wire."""
-    return _message(task, follower.heat_maps(picture), sequence, time_ns)
+    """The heat maps of one picture as they go over the wire, by number of the person; of nobody, too."""
+    shown = list(people.items()) or [(0, None)]
+    return b"".join(
+        _message(task, maps, sequence, time_ns, number, len(shown) - 1 - k)
+        for k, (number, maps) in enumerate(shown)
+    )
 
 
-def _message(task: CameraTask, maps: CameraHeatMaps | None, sequence: int, time_ns: int) -> bytes:
+def _message(
+    task: CameraTask,
+    maps: CameraHeatMaps | None,
+    sequence: int,
+    time_ns: int,
+    person: int = 0,
+    following: int = 0,
+) -> bytes:
     return encode_heat_maps(
         HeatMapMessage(
             task.name, task.network, sequence, time_ns,
             None if maps is None else quantised(maps.likelihood),
             _NOWHERE if maps is None else maps.map_from_pixel,
+            person, following,
         )
     )  # fmt: skip

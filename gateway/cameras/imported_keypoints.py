@@ -9,7 +9,7 @@ import numpy as np
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from devices.cameras.keypoint_files import PictureKeypoints
 from gateway.body.camera import Camera
-from gateway.cameras.rig_of_cameras import people_in_common
+from gateway.cameras.people_matching import people_in_common
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set

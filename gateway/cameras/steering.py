@@ -54,7 +54,7 @@ class Steering:
 
     @property
     def same_as(self) -> Mapping[int, int]:
-        """People who turned out to be an earlier one, with that one; no camera looks for them any more."""
+        """People who turned out to be another one, with that one; no camera looks for them any more."""
         return self._crowd.same_as
 
     def orders(self) -> Orders:

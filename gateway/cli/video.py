@@ -17,11 +17,12 @@ from devices.cameras.pictures import open_pictures
 from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, axis_of, load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
-from gateway.cameras.camera_process import MOST_PEOPLE, CameraTask
+from gateway.cameras.camera_process import CameraTask
 from gateway.cli.options import CaFile, PasswordFile, Protocol, Username, broker_settings, refuse_existing
 from gateway.cli.terminal import progress_bar
 from gateway.contract.topics import CAMERA
 from gateway.errors import GatewayError
+from gateway.reconstruction.video.networks.person_detector import MOST_PEOPLE
 from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
 from gateway.support.video_extra import require_video_extra
 

@@ -123,6 +123,11 @@ class KeypointTracker:
         self._settled = True
 
     @property
+    def is_settled(self) -> bool:
+        """Whether the lengths of the body are known, and change no more."""
+        return self._settled
+
+    @property
     def places(self) -> FloatArray:
         """(n_keypoints, 3) m, where the body has its keypoints. Only with a pose."""
         assert self.pose is not None

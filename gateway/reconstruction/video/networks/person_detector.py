@@ -20,6 +20,8 @@ from gateway.reconstruction.video.region import PersonRegion, upright_region
 
 _STRIDES = ((8, 2), (16, 2), (32, 6))
 """Pixels between anchors, and how many stand at each place."""
+MOST_PEOPLE = 4
+"""Of one picture that are considered, the likeliest ones."""
 _LEAST_SCORE = 0.5
 _STROKE = 0.45
 """Breadth of a person over the radius."""
@@ -66,6 +68,11 @@ class PersonDetector:
             hips, edge, shoulders = np.linalg.solve(linear, (points - 0.5 - shift).T).T
             people.append(Person(score, hips, shoulders, float(np.linalg.norm(edge - hips))))
         return people
+
+    def windows(self, picture: Picture) -> list[PersonRegion | None]:
+        """The whole of a picture, None, and parts of it in which people are found who are small, or beside
+        somebody who fills it: the whole before each part, for it is looked at most."""
+        return [window for part in _parts(picture) for window in (None, part)]
 
     def everybody(self, picture: Picture, most: int) -> list[Person]:
         """As ``people``, and those beside somebody who fills the picture: looked for in parts of it, too,
