@@ -2,9 +2,9 @@
 
     {"sequence": 812, "cameras": {"cam01": {"3": [540.0, 910.5, 700.0, 0.0], "4": null}}}
 
-By camera and number of the person the square to look at: its middle, x and y, and its side, pixels; the trunk's
-turn, rad. ``null``: the camera does not see the person. Somebody of a number of the gateway's who is not named
-any more has left. Number 0 is the one person of a camera that follows one alone.
+By camera and number of the person the square to look at: its middle, x and y, and its side, pixels; the
+trunk's turn, rad. ``null``: the camera does not see the person. Somebody of a number of the gateway's who is
+not named any more has left. Number 0 is the one person of a camera that follows one alone.
 """
 
 from __future__ import annotations

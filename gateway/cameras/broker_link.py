@@ -1,7 +1,8 @@
 """Heat maps of cameras over MQTT as a link.
 
 One message on a topic is one picture's heat-map messages (``devices.cameras.heat_map_messages``), at QoS 0:
-an old picture is worth nothing. Orders (``devices.cameras.orders``) go to ``ORDERS`` below each camera's topic. The link uses the broker of the gateway's own settings, and so its credentials.
+an old picture is worth nothing. Orders (``devices.cameras.orders``) go to ``ORDERS`` below each camera's
+topic. The link uses the broker of the gateway's own settings, and so its credentials.
 """
 
 from __future__ import annotations
@@ -78,8 +79,11 @@ class BrokerLink:
         broker."""
         if self._client is None:
             raise LinkError(f"{self.name}: there is no broker")
-        for topic in sorted(self._topics)[:_MOST_CAMERAS]:
-            await self._client.publish(f"{topic}/{ORDERS}", data, qos=0)
+        try:
+            for topic in sorted(self._topics)[:_MOST_CAMERAS]:
+                await self._client.publish(f"{topic}/{ORDERS}", data, qos=0)
+        except aiomqtt.MqttError as error:
+            raise LinkError(f"{self.name}: {error}") from error
 
     async def close(self) -> None:
         """Disconnect; iterating ends."""

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.cameras.heat_map_messages import HeatMapReceiver
+from devices.cameras.heat_map_messages import HeatMapReceiver, retimed
 from gateway.body.camera import Camera
 from gateway.cameras.synchronisation import signed_distances, synchronisation_of
 from gateway.errors import GatewayError
@@ -50,6 +50,12 @@ class Consistency:
         """Whether two cameras at least look at the same person."""
         return bool(self.apart) and min(self.apart.values()) <= FAR_APART
 
+    @property
+    def skipped(self) -> list[int]:
+        """By camera, the pictures at its start without which all are in step."""
+        earliest = min(0, *self.offsets.values()) if self.offsets else 0
+        return [self.offsets.get(name, 0) - earliest for name in self.names]
+
     def refuse_wrong(self, calibration: Path) -> None:
         """Raises ``GatewayError`` for cameras that are not synchronised, or not those of the calibration."""
         if self.offsets:
@@ -57,17 +63,14 @@ class Consistency:
             rest = "".join(
                 f", '{each}' {_offset(n)} them" for each, n in self.offsets.items() if each != name
             )
-            earliest = min(0, *self.offsets.values())
             cure = " ".join(
-                f"--offset {each}={self.offsets.get(each, 0) - earliest}"
-                for each in self.names
-                if self.offsets.get(each, 0) != earliest
+                f"--offset {each}={late}" for each, late in zip(self.names, self.skipped, strict=True) if late
             )
             others = "the others" if len(self.names) > 2 else "the other"
             raise GatewayError(
                 f"the cameras are not synchronised: camera '{name}' is {_offset(self.offsets[name])} {others}"
                 f"{rest} (rays through one keypoint swing by {1e3 * self.unrest:.0f} mm, so shifted by "
-                f"{1e3 * self.unrest_shifted:.0f} mm): {cure}"
+                f"{1e3 * self.unrest_shifted:.0f} mm): {cure}, or --synchronise"
             )
         if self.apart and min(self.apart.values()) > FAR_APART:
             name, far = max(self.apart.items(), key=lambda item: item[1])
@@ -82,6 +85,18 @@ class Consistency:
                 f"{calibration}: camera '{wrong[0]}' does not fit the others (its rays pass theirs at "
                 f"{1e3 * self.apart[wrong[0]]:.0f} mm): was it moved, or is the file another camera's?"
             )
+
+
+def in_step(messages: Sequence[Sequence[bytes]], skipped: Sequence[int]) -> list[list[bytes]]:
+    """Return the instants that all cameras have once pictures are left out at their starts, numbered anew.
+
+    messages: of every instant, one a camera; skipped: pictures, by camera.
+    """
+    times_ns = [HeatMapReceiver().receive(instant[0])[0].time_ns for instant in messages]
+    n = len(messages) - max(skipped)
+    return [
+        [retimed(messages[t + late][c], t, times_ns[t]) for c, late in enumerate(skipped)] for t in range(n)
+    ]
 
 
 def _offset(offset: int) -> str:

@@ -1,7 +1,7 @@
 """The people before served cameras: who comes, where they are, and who has gone.
 
 Cameras find people by themselves, and follow each under a number of their own, until they are told where the
-pose that all cameras together give will be. Somebody whose hips and shoulders meet in the world by the rays of
+pose of all cameras will have them. Somebody whose hips and shoulders meet in the world by the rays of
 several cameras is tracked; once the lengths of the body are known, the person has entered, and gets a number
 that nobody had before.
 """
@@ -32,15 +32,20 @@ from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.networks.imported import person_of
 from gateway.reconstruction.video.networks.person_detector import Person
 from gateway.reconstruction.video.networks.weights import keypoint_set_of
-from gateway.reconstruction.video.reconstructor import Tracking, VideoPose, VideoReconstructor, worn_person
+from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor, worn_person
 from gateway.reconstruction.video.region import peaks
-from gateway.reconstruction.video.regions import person_region
+from gateway.reconstruction.video.regions import person_region, square_of
 from gateway.sources.heat_maps import Instant, Instants, heat_maps_of
 
 _TRIAL = 40
 """Instants after which somebody who has not entered is given up."""
-_LEAST_TRACKED = 0.5
-"""Share of the keypoints in an instant, and of the instants of the trial, for somebody to be a person."""
+_LEAST_TRIAL = 0.5
+"""Share of the instants of the trial in which somebody must be there."""
+_LEAST_SEEN = 0.3
+"""Share of the keypoints that two cameras must show where the pose has them, for somebody to be there; how
+likely each must be, too. One camera alone holds whoever has left to somebody else on the same rays."""
+_ABSENT = 20
+"""Instants in a row in which somebody is not there, before they have left."""
 _NEAR = 0.5
 """Distance of hips, in sizes of a person, under which a camera shows somebody who is known already."""
 _NOWHERE = np.zeros((2, 3))
@@ -57,8 +62,10 @@ class _Tracked:
     number: int | None = None
     """None: on trial."""
     instants: int = 0
-    good: int = 0
-    """With most of the keypoints tracked."""
+    there: int = 0
+    """Instants in which the person was there."""
+    absent: int = 0
+    """Instants since."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,9 +148,11 @@ class LiveCrowd:
     def _advanced(self, instant: Instant) -> CrowdInstant:
         masked = self._crowd.masked([self._frame_of(each, instant) for each in self._tracked])
         poses = self._crowd.follow(masked)
-        for each, pose in zip(self._tracked, poses, strict=True):
+        for each, pose, frame in zip(self._tracked, poses, masked, strict=True):
+            is_there = self._is_there(pose, frame)
             each.instants += 1
-            each.good += float((pose.tracking != Tracking.LOST).mean()) >= _LEAST_TRACKED
+            each.there += is_there
+            each.absent = 0 if is_there else each.absent + 1
         chunks = {
             each.number: self._encoded(frame, instant)
             for each, frame in zip(self._tracked, masked, strict=True)
@@ -153,6 +162,14 @@ class LiveCrowd:
         entered = self._entered()
         self._admit(instant)
         return CrowdInstant(entered, chunks, left, self._orders(instant.sequence))
+
+    def _is_there(self, pose: VideoPose, frame: HeatMapFrame) -> bool:
+        """Whether two cameras at least show enough of the keypoints where the pose has them."""
+        seen = np.zeros(len(self._names), dtype=np.int64)
+        for camera, maps in zip(self._cameras, frame.cameras, strict=True):
+            if maps is not None:
+                seen += _likelihood_at(maps, project(camera, pose.keypoints)) >= _LEAST_SEEN
+        return float((seen >= 2).mean()) >= _LEAST_SEEN
 
     def _frame_of(self, tracked: _Tracked, instant: Instant) -> HeatMapFrame:
         """What every camera tells of a person, by the gateway's number, else by that under which it was
@@ -183,6 +200,7 @@ class LiveCrowd:
             index
             for index, (each, pose) in enumerate(zip(self._tracked, poses, strict=True))
             if index in self._crowd.same_as
+            or (each.number is not None and each.absent >= _ABSENT)
             or (each.number is not None and not np.isfinite(pose.keypoints).all())
             or (each.number is None and each.instants >= _TRIAL)
         ]
@@ -201,7 +219,7 @@ class LiveCrowd:
         """Number those whose trial has ended well."""
         entered = {}
         for each, person in zip(self._tracked, self._crowd.people, strict=True):
-            is_person = each.good >= _LEAST_TRACKED * each.instants
+            is_person = each.there >= _LEAST_TRIAL * each.instants
             if each.number is None and person.tracker.is_settled and is_person:
                 self.counts.entered += 1
                 each.number = self.counts.entered
@@ -269,10 +287,15 @@ class LiveCrowd:
         if expected is None:
             return
         for camera in self._cameras:
-            region = person_region(camera, expected, self._names)
-            yield (
-                camera.name,
-                None
-                if region is None
-                else (float(region.centre[0]), float(region.centre[1]), region.size, region.roll),
-            )
+            yield camera.name, square_of(person_region(camera, expected, self._names))
+
+
+def _likelihood_at(maps: CameraHeatMaps, pixels: FloatArray) -> FloatArray:
+    """(n_keypoints,) of the cells that pixels (n_keypoints, 2) of the picture are in; 0 outside the maps."""
+    n, rows, columns = maps.likelihood.shape
+    affine = maps.map_from_pixel
+    cells = np.rint(np.nan_to_num(pixels @ affine[:, :2].T + affine[:, 2], nan=-1.0))
+    is_inside = np.asarray(((cells >= 0) & (cells < (columns, rows))).all(axis=1))
+    column, row = np.where(is_inside[:, None], cells, 0).astype(np.int64).T
+    found: FloatArray = np.where(is_inside, maps.likelihood[np.arange(n), row, column], 0.0)
+    return found

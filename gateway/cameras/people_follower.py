@@ -1,5 +1,5 @@
-"""The people in the pictures of one served camera: found by the detector, followed by their heat maps, and led
-by what the gateway tells of where the poses of all cameras will have them."""
+"""The people in the pictures of one served camera: found by the detector, followed by their heat maps, and
+led by what the gateway tells of where the poses of all cameras will have them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gateway.reconstruction.video.networks.person_detector import Person
 from gateway.reconstruction.video.region import PersonRegion, region_of_maps
 
 _LOOK_EVERY = 4
-"""Pictures between two looks for people who have come; while nobody is followed, every picture is looked at."""
+"""Pictures between two looks for people who have come; while nobody is followed, there is one a picture."""
 _NEAR = 0.2
 """Distance of the hips, in sides of a region, under which somebody is who is followed there."""
 _SILENT = 60
@@ -51,14 +51,15 @@ class PeopleFollower:
         self._told_at = self._pictures
         told = {number: _region_of(square) for number, square in orders.squares.items()}
         if self._most == 1:
-            told = {0: told[0]} if 0 in told else {}
-        kept = {
+            told = {0: told.get(0, self._regions.get(0))}
+            self._regions = told if 0 in orders.squares or told[0] is not None else {}
+            return
+        kept: dict[int, PersonRegion | None] = {
             number: region
             for number, region in self._regions.items()
             if number >= FOUND_BY_CAMERA and region is not None and not _is_among(region.centre, told)
         }
-        if self._most > 1 or told:
-            self._regions = told | kept
+        self._regions = told | kept
 
     def heat_maps(self, picture: Picture) -> dict[int, CameraHeatMaps | None]:
         """Of everybody who is followed, by number; None of one who is not seen any more."""
@@ -92,7 +93,8 @@ class PeopleFollower:
         if len(self._regions) >= self._most:
             return
         if self._most == 1:
-            self._regions |= {0: person.region for person in self._nearest(self._detector.people(picture))}
+            for person in self._nearest(self._detector.people(picture)):
+                self._regions[0] = person.region
             return
         if any(self._regions.values()) and self._pictures % _LOOK_EVERY:
             return

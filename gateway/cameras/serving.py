@@ -63,13 +63,11 @@ class Sink(Protocol):
         """Hand over what is waiting, and end."""
 
 
-def serve(
-    task: CameraTask, sink: Sink, speed: float, begin_s: float | None = None, people: int = 1
-) -> None:
+def serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None = None, people: int = 1) -> None:
     """Until the camera ends, or Ctrl-C. Raises ``CameraError``.
 
-    begin_s: when a file begins, seconds since the epoch; None: when there is somebody to take it. people: that
-    are followed at once.
+    begin_s: when a file begins, seconds since the epoch; None: when there is somebody to take it. people:
+    that are followed at once.
     """
     is_recorded = Path(task.place).suffix == RECORDING
     source = _Recorded(task) if is_recorded else _LookedAt(task, people)

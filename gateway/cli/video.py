@@ -237,6 +237,10 @@ def serve_camera(
     network: Network = "full",
     rate: Rate = None,
     speed: Annotated[float, typer.Option(min=0, help="Of a file: 1 as taken; 0 as fast as it goes.")] = 1.0,
+    people: Annotated[
+        int,
+        typer.Option(min=1, max=8, help="At once; more than 1 for a gateway with the setting 'people'."),
+    ] = 1,
     at: Annotated[
         str | None,
         typer.Option(metavar="HH:MM:SS", help="When a file begins, UTC; else with the first receiver."),
@@ -268,7 +272,7 @@ def serve_camera(
     if mqtt is None:
         with listening(host, port) as listener:
             _tell(f"camera '{name}' at tcp://{host}:{listener.getsockname()[1]}; Ctrl-C ends")
-            _serve(task, Outlet(listener), speed, begin_s)
+            _serve(task, Outlet(listener), speed, begin_s, people)
         return
     broker, _, number = mqtt.rpartition(":")
     if not broker or not number.isdigit() or not 0 < int(number) < 1 << 16:
@@ -281,13 +285,13 @@ def serve_camera(
         protocol=protocol,
     )  # fmt: skip
     _tell(f"camera '{name}' on topic {topic} of {mqtt}; Ctrl-C ends")
-    _serve(task, BrokerOutlet(settings, topic), speed, begin_s)
+    _serve(task, BrokerOutlet(settings, topic), speed, begin_s, people)
 
 
-def _serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None) -> None:
+def _serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None, people: int) -> None:
     from gateway.cameras.serving import serve
 
-    serve(task, sink, speed, begin_s)
+    serve(task, sink, speed, begin_s, people)
     done = sink.served
     typer.echo(f"{done.messages} pictures, {done.sent} messages sent, {done.skipped} left out")
 

@@ -77,6 +77,9 @@ def solve(
     ] = None,
     people: People = "1",
     join: Join = None,
+    synchronise: Annotated[
+        bool, typer.Option("--synchronise", help="Shift cameras that are out of step by what is found.")
+    ] = False,
     frames: Annotated[
         int | None, typer.Option(min=1, help="Instants to take; a live camera needs it.")
     ] = None,
@@ -118,8 +121,10 @@ def solve(
         captured = _real_people(captured, seen)
     known = None if subject is None else load_rig(str(subject))
     outcomes = []
-    for messages, place, person in _people(captured, target, fit_subject, force=force):
-        checked = consistency_of(seen, messages)
+    for looked, place, person in _people(captured, target, fit_subject, force=force):
+        messages, checked = looked, consistency_of(seen, looked)
+        if synchronise and checked.offsets:
+            messages, checked = _in_step(seen, looked, checked)
         checked.refuse_wrong(cameras)
         suit = video_suit(seen, network, messages, known)
         if person is not None:
@@ -132,6 +137,18 @@ def solve(
             export(place, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
     if as_json:
         typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
+
+
+def _in_step(
+    cameras: Sequence[Camera], messages: Instants, checked: Consistency
+) -> tuple[Instants, Consistency]:
+    """Leave pictures out at the start of cameras that began earlier, and look again how all agree."""
+    from gateway.cameras.consistency import consistency_of, in_step
+
+    shifted = in_step(messages, checked.skipped)
+    told = ", ".join(f"{name} {late}" for name, late in zip(checked.names, checked.skipped, strict=True))
+    typer.echo(f"note: pictures left out so that the cameras are in step: {told}", err=True)
+    return shifted, consistency_of(cameras, shifted)
 
 
 def _imported(

@@ -99,7 +99,7 @@ class Instant:
     time_ns: int
     """Gateway time."""
     told: Mapping[int, Sequence[HeatMapMessage]]
-    """By camera's row, a message for each person that it followed; without a camera that was not waited for."""
+    """By camera's row, a message for each person that it followed; none of a camera not waited for."""
 
 
 class Instants:

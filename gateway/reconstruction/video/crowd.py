@@ -1,7 +1,7 @@
 """Several people at once: each tracked by continuity in maps from which the others are taken out.
 
-Step 9 of JP2020-042476A: people are told apart when they come, by whoever gives their first positions, and keep
-their order from then on.
+Step 9 of JP2020-042476A: people are told apart when they come, by whoever gives their first positions, and
+keep their order from then on.
 """
 
 from __future__ import annotations

@@ -20,7 +20,14 @@ from gateway.reconstruction.video.region import PersonRegion
 from gateway.reconstruction.video.regions import person_region
 from gateway.reconstruction.video.tracker import KeypointTracker, VideoOptions
 
-__all__ = ["Tracking", "VideoOptions", "VideoPose", "VideoReconstructor", "video_reconstructor", "worn_person"]
+__all__ = [
+    "Tracking",
+    "VideoOptions",
+    "VideoPose",
+    "VideoReconstructor",
+    "video_reconstructor",
+    "worn_person",
+]
 
 
 class Tracking(IntEnum):

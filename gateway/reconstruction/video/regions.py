@@ -6,12 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from devices.cameras.orders import Square
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.camera import Camera, project
 from gateway.reconstruction.video.region import PersonRegion, region_of_points
 
 _LEAST_SHARE = 0.4
 """Of the keypoints, that must be in the picture for the camera to count as seeing the person."""
+
+
+def square_of(region: PersonRegion | None) -> Square | None:
+    """Return a region as cameras are told of it."""
+    if region is None:
+        return None
+    x, y = region.centre.tolist()
+    return x, y, region.size, region.roll
 
 
 def person_region(

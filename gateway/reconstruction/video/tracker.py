@@ -60,12 +60,6 @@ class VideoOptions:
 
     floor_m: float | None = 0.0
     """Height of the floor; None: there is none."""
-    cluster: bool = True
-    """Candidates by 7-point clusters, else by single points."""
-    weighted: bool = True
-    """Inverse kinematics weighted by the summed PCM, else uniformly."""
-    use_dlt: bool = False
-    """First positions over all cameras, else by the closest pair of rays."""
     is_measured: bool = False
     """Whether the keypoint set's skeleton is this person's already; else its lengths follow from the first
     frames."""
@@ -162,9 +156,8 @@ class KeypointTracker:
     def solve(self, sighting: Sighting, steps: int = _STEPS) -> None:
         """Inverse kinematics from the last pose, which what is not seen is drawn to."""
         assert self.pose is not None
-        weights = sighting.likelihood if self.options.weighted else np.ones(len(sighting.likelihood))
         held = Held(self.pose.R, HELD_SIGMA**-2)
-        goal = Goal(sighting.candidates, np.where(sighting.lost, 0.0, weights), held, self.floor)
+        goal = Goal(sighting.candidates, np.where(sighting.lost, 0.0, sighting.likelihood), held, self.floor)
         self.pose = solve(self.body, goal, self.pose.R, self.pose.root, steps)
 
     def orientation_sigmas(self, sighting: Sighting) -> FloatArray:
@@ -181,9 +174,9 @@ class KeypointTracker:
             return self._first_alone(maps) or nobody
         if sum(seen is not None for seen in maps) < 2:
             return nobody
-        points, _ = initial.from_rays(self._models, maps, self.options.use_dlt)
+        points, _ = initial.from_rays(self._models, maps)
         points = initial.within_person(points)
-        if np.isfinite(points).any() and np.isnan(points[self._trunk, 0]).sum() > 1:
+        if np.isnan(points[self._trunk, 0]).sum() > 1:
             points = self._completed(maps, points)
         if np.isnan(points[self._trunk, 0]).sum() > 1:
             return nobody
@@ -205,11 +198,19 @@ class KeypointTracker:
         return self._search(maps)
 
     def _completed(self, maps: CameraMaps, points: FloatArray) -> FloatArray:
-        """Points, those that rays did not give by the best cell of the volume about the others."""
-        centre = np.nanmedian(points, axis=0)
-        cells, likely = initial.from_volume(self._models, maps, centre, _VOLUME_HALF_WIDTH, _VOLUME_CELL)
+        """Points, those of the trunk that rays did not give by the best cell of the volume: that about the
+        others, else all that the maps of the cameras show together."""
+        is_wanted = np.zeros(len(points), dtype=np.bool_)
+        is_wanted[self._trunk] = np.isnan(points[self._trunk, 0])
+        if np.isfinite(points).any():
+            centre, half_width = np.nanmedian(points, axis=0), _VOLUME_HALF_WIDTH
+        else:
+            centre, half_width = initial.middle_of_views(self._models, maps), initial.PERSON_RADIUS
+        if not np.isfinite(centre).all():
+            return points
+        cells, likely = initial.from_volume(self._models, maps, centre, half_width, _VOLUME_CELL, is_wanted)
         n_cameras = sum(seen is not None for seen in maps)
-        good = np.isnan(points[:, 0]) & (likely > LEAST_MEAN * n_cameras)
+        good = is_wanted & (likely > LEAST_MEAN * n_cameras)
         return np.where(good[:, None], cells, points)
 
     def _stand_up(self, points: FloatArray) -> None:
@@ -250,7 +251,7 @@ class KeypointTracker:
                 n_cameras += 1
                 view = lattice.View(model, seen.likelihood, seen.map_from_pixel)
                 lattice.add_likelihood(total, view, lattices, is_fine)
-        found, likelihood = lattice.best_points(total, centres, spacing, HALF_WIDTH, self.options.cluster)
+        found, likelihood = lattice.best_points(total, centres, spacing, HALF_WIDTH, True)
         found[likelihood < LEAST_MEAN * max(n_cameras, 1)] = np.nan
         return Sighting(found, likelihood)
 
