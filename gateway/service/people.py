@@ -10,9 +10,11 @@ from typing import Any
 from devices.link import Chunk, Link
 from gateway.body.skeleton import WornSuit
 from gateway.cameras.live_crowd import LiveCrowd
+from gateway.errors import SettingsError
 from gateway.service.further_bodies import HandedLink, beside
 from gateway.settings import GatewaySettings
 from gateway.sources.link_settings import LinkSettings
+from gateway.sources.registry import NO_CAMERAS
 
 log = logging.getLogger(__name__)
 
@@ -35,8 +37,9 @@ class PeopleBeforeCameras:
         self, settings: GatewaySettings, suit: WornSuit, serve: Serve, tell: Callable[[bytes], None]
     ) -> None:
         """suit: with the cameras; the lengths of its body do not count, everybody is measured. tell: hands
-        orders to the cameras."""
-        assert suit.video is not None
+        orders to the cameras. Raises ``SettingsError`` for a suit without cameras."""
+        if suit.video is None:
+            raise SettingsError(f"people: {NO_CAMERAS}")
         assert settings.people is not None
         self._settings, self._serve, self._tell = settings, serve, tell
         self.crowd = LiveCrowd(suit.video, settings.people)
@@ -85,4 +88,6 @@ class PeopleBeforeCameras:
         first = next(link for link in self._settings.links if link.carries == CARRIES)
         links = [LinkSettings(name=LINK, url=first.url, carries=CARRIES)]
         settings = beside(self._settings, str(number), links, self.broker_port)
-        return settings.model_copy(update={"people": None})
+        # without their places, all would stand on one spot
+        mqtt = settings.mqtt.model_copy(update={"include": settings.mqtt.include | {"position"}})
+        return settings.model_copy(update={"people": None, "mqtt": mqtt})
