@@ -30,7 +30,7 @@ _MOST_CAMERAS = 64
 
 
 def link_of(link: LinkSettings, mqtt: MqttSettings, port: Callable[[], int]) -> Link:
-    """The link, not yet open, of a configuration. port: of the broker, once it is known. Raises
+    """Return the link, not yet open, of a configuration. port: of the broker, once it is known. Raises
     ``EndpointError``."""
     parts = urlsplit(link.url)
     if parts.scheme != SCHEME:

@@ -47,16 +47,16 @@ class BrokerOutlet:
         self._thread.start()
 
     def wait_for_first(self) -> None:
-        """Until the broker is reached."""
+        """Wait until the broker is reached."""
         self._is_connected.wait()
 
     def offer(self, message: bytes) -> None:
-        """To the broker, in the place of the oldest one that it was too slow for."""
+        """Hand messages to the broker, in the place of the oldest one that it was too slow for."""
         self.served.messages += 1
         self._loop.call_soon_threadsafe(self._add, message)
 
     def newest_line(self) -> bytes:
-        """The last line of orders that came since this was asked; empty: none did."""
+        """Return the last line of orders that came since this was asked; empty: none did."""
         line, self._told = self._told, b""
         return line
 

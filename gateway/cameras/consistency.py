@@ -57,7 +57,7 @@ class Consistency:
         return [self.offsets.get(name, 0) - earliest for name in self.names]
 
     def refuse_wrong(self, calibration: Path) -> None:
-        """Raises ``GatewayError`` for cameras that are not synchronised, or not those of the calibration."""
+        """Raise ``GatewayError`` for cameras that are not synchronised, or not those of the calibration."""
         if self.offsets:
             name = max(self.offsets, key=lambda each: abs(self.offsets[each]))
             rest = "".join(
@@ -105,7 +105,7 @@ def _offset(offset: int) -> str:
 
 
 def consistency_of(cameras: Sequence[Camera], messages: Sequence[Sequence[bytes]]) -> Consistency:
-    """From the heat maps of a capture, a message a camera and instant."""
+    """Find how well cameras agree, from the heat maps of a capture, a message a camera and instant."""
     directions, likely = _rays(cameras, messages[:_MOST_INSTANTS])
     positions = np.stack([camera.position for camera in cameras])
     found = synchronisation_of(positions, directions, likely)
@@ -123,13 +123,13 @@ def consistency_of(cameras: Sequence[Camera], messages: Sequence[Sequence[bytes]
 
 
 def _of_most(names: Sequence[str], offsets: Sequence[int]) -> dict[str, int]:
-    """Offsets that are not 0 when those of most cameras (of as many: the first ones) are."""
+    """Return offsets that are not 0 when those of most cameras (of as many: the first ones) are."""
     usual = max(offsets, key=offsets.count)
     return {name: offset - usual for name, offset in zip(names, offsets, strict=True) if offset != usual}
 
 
 def _rays(cameras: Sequence[Camera], messages: Sequence[Sequence[bytes]]) -> tuple[FloatArray, FloatArray]:
-    """Directions (F, C, K, 3), NaN where nobody is seen, and likelihoods (F, C, K)."""
+    """Return directions (F, C, K, 3), NaN where nobody is seen, and likelihoods (F, C, K)."""
     models = [camera_model(camera) for camera in cameras]
     found: list[list[tuple[FloatArray, FloatArray] | None]] = []
     n_keypoints = 0
@@ -154,8 +154,9 @@ def _rays(cameras: Sequence[Camera], messages: Sequence[Sequence[bytes]]) -> tup
 def _apart(
     positions: FloatArray, directions: FloatArray, likely: FloatArray, offsets: Sequence[int]
 ) -> dict[int, float]:
-    """By camera, m: the lower median of its median distances to the others, so that one wrong camera does not
-    spoil the rest. offsets: pictures by which each is behind; a camera that sees nobody is left out."""
+    """Return by camera, m, the lower median of its median distances to the others, so that one wrong camera
+    does not spoil the rest. offsets: pictures by which each is behind; a camera that sees nobody is left out.
+    """
     n = len(directions) - max(offsets) + min(offsets)
     starts = [offset - min(offsets) for offset in offsets]
     found: dict[int, list[float]] = {}

@@ -33,7 +33,7 @@ def keypoint_messages(
     rate_hz: float,
     wanted: int | None,
 ) -> tuple[str, list[list[list[bytes]]]]:
-    """The keypoints' set, and by person, of every instant, a message a camera.
+    """Return the keypoints' set, and by person, of every instant, a message a camera.
 
     skipped: pictures left out at the start, by camera. wanted: how many people; None: all that two cameras
     see. Raises ``GatewayError``, and ``CameraError`` for fewer than are wanted.
@@ -81,7 +81,8 @@ def _everybody(people: Sequence[FloatArray], layout: tuple[str, ...], names: tup
 def _beginning(
     cameras: Sequence[Camera], seen: Sequence[Sequence[Seen]], count: int, wanted: int | None
 ) -> tuple[int, list[list[FloatArray | None]]]:
-    """The picture in which people are first seen, and by person their hips in every camera; None: unseen."""
+    """Return the picture in which people are first seen, and by person their hips in every camera; None:
+    unseen."""
     for index in range(min(count, _FIRST_PICTURES)):
         people = [[person for person, _ in of_camera[index]] for of_camera in seen]
         if sum(map(bool, people)) < min(2, len(cameras)):
@@ -96,8 +97,8 @@ def _beginning(
 def _followed(
     of_camera: Sequence[Seen], first: int, hips: Sequence[FloatArray | None]
 ) -> list[list[FloatArray | None]]:
-    """By person, the keypoints in every picture of a camera, from where the hips are in picture ``first``;
-    None where nobody is near, or somebody else is nearer to who is."""
+    """Return by person the keypoints in every picture of a camera, from where the hips are in picture
+    ``first``; None where nobody is near, or somebody else is nearer to who is."""
     last = list(hips)
     found: list[list[FloatArray | None]] = [[None] * len(of_camera) for _ in hips]
     for index, people in enumerate(of_camera):

@@ -97,7 +97,7 @@ class LiveCrowd:
     """Heat-map messages of several people in, those of each person out. Sans-I/O and deterministic."""
 
     def __init__(self, video: VideoSetUp, most: int) -> None:
-        """most: people that are tracked at once, those on trial too."""
+        """Begin with nobody. most: people that are tracked at once, those on trial too."""
         self._video, self._most = video, most
         self._cameras: Sequence[Camera] = video.cameras
         self._row = {camera.name: row for row, camera in enumerate(video.cameras)}
@@ -164,7 +164,7 @@ class LiveCrowd:
         return CrowdInstant(entered, chunks, left, self._orders(instant.sequence))
 
     def _is_there(self, pose: VideoPose, frame: HeatMapFrame) -> bool:
-        """Whether two cameras at least show enough of the keypoints where the pose has them."""
+        """Return whether two cameras at least show enough of the keypoints where the pose has them."""
         seen = np.zeros(len(self._names), dtype=np.int64)
         for camera, maps in zip(self._cameras, frame.cameras, strict=True):
             if maps is not None:
@@ -172,8 +172,8 @@ class LiveCrowd:
         return float((seen >= 2).mean()) >= _LEAST_SEEN
 
     def _frame_of(self, tracked: _Tracked, instant: Instant) -> HeatMapFrame:
-        """What every camera tells of a person, by the gateway's number, else by that under which it was
-        found."""
+        """Return what every camera tells of a person, by the gateway's number, else by that under which it
+        was found."""
         maps: list[CameraHeatMaps | None] = []
         for row in range(len(self._cameras)):
             told = {message.person: message for message in instant.told.get(row, ())}
@@ -181,7 +181,7 @@ class LiveCrowd:
         return HeatMapFrame(instant.sequence, instant.time_ns, tuple(maps))
 
     def _encoded(self, frame: HeatMapFrame, instant: Instant) -> bytes:
-        """The messages of all cameras, those too that told nothing, so that nobody waits for them."""
+        """Return the messages of all cameras, those too that told nothing, so that nobody waits for them."""
         time_ns = instant.told[min(instant.told)][0].time_ns
         messages = (
             HeatMapMessage(
@@ -260,7 +260,7 @@ class LiveCrowd:
         return found
 
     def _is_known(self, camera: Camera, person: Person) -> bool:
-        """Whether somebody who is tracked is where a camera shows a person."""
+        """Return whether somebody who is tracked is where a camera shows a person."""
         for each in self._crowd.people:
             expected = each.expected
             if expected is not None:
@@ -275,7 +275,7 @@ class LiveCrowd:
         return middle
 
     def _orders(self, sequence: int) -> bytes:
-        """Where everybody whose pose is known will be ``AHEAD`` pictures later."""
+        """Return where everybody whose pose is known will be ``AHEAD`` pictures later."""
         by_camera: dict[str, dict[int, Square | None]] = {camera.name: {} for camera in self._cameras}
         for each, person in zip(self._tracked, self._crowd.people, strict=True):
             for camera, square in self._squares(person):
@@ -291,7 +291,8 @@ class LiveCrowd:
 
 
 def _likelihood_at(maps: CameraHeatMaps, pixels: FloatArray) -> FloatArray:
-    """(n_keypoints,) of the cells that pixels (n_keypoints, 2) of the picture are in; 0 outside the maps."""
+    """Return (n_keypoints,) of the cells that pixels (n_keypoints, 2) of the picture are in; 0 outside the
+    maps."""
     n, rows, columns = maps.likelihood.shape
     affine = maps.map_from_pixel
     cells = np.rint(np.nan_to_num(pixels @ affine[:, :2].T + affine[:, 2], nan=-1.0))

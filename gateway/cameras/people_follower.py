@@ -28,17 +28,18 @@ class Detector(Protocol):
     """What finds people."""
 
     def people(self, picture: Picture, window: PersonRegion | None = None) -> list[Person]:
-        """The people of a picture, or of one part of it, the likeliest first."""
+        """Return the people of a picture, or of one part of it, the likeliest first."""
 
     def windows(self, picture: Picture) -> list[PersonRegion | None]:
-        """Parts in which people are found whom somebody nearer outshines in the whole; None: the whole."""
+        """Return parts in which people are found whom somebody nearer outshines in the whole; None: the
+        whole."""
 
 
 class PeopleFollower:
     """Keeps a region for each person from picture to picture."""
 
     def __init__(self, network: PoseNetwork, detector: Detector, most: int) -> None:
-        """most: people at once; one alone has the number 0, whoever tells."""
+        """Follow nobody yet. most: people at once; one alone has the number 0, whoever tells."""
         self._network, self._detector, self._most = network, detector, most
         self._regions: dict[int, PersonRegion | None] = {}
         """By number; None: in no picture, until told otherwise."""
@@ -62,7 +63,7 @@ class PeopleFollower:
         self._regions = told | kept
 
     def heat_maps(self, picture: Picture) -> dict[int, CameraHeatMaps | None]:
-        """Of everybody who is followed, by number; None of one who is not seen any more."""
+        """Return the maps of everybody who is followed, by number; None of one who is not seen any more."""
         self._look(picture)
         self._pictures += 1
         seen: dict[int, CameraHeatMaps | None] = {}
@@ -109,7 +110,7 @@ class PeopleFollower:
                 self._since[number] = self._pictures
 
     def _nearest(self, people: list[Person]) -> list[Person]:
-        """The one nearest to who was lost last, else the likeliest."""
+        """Return the one nearest to who was lost last, else the likeliest."""
         last = self._last
         if last is None:
             return people[:1]

@@ -24,8 +24,8 @@ _MOST_UNEQUAL = 1.6
 def people_in_common(
     cameras: Sequence[Camera], people: Sequence[Sequence[Person]], wanted: int | None
 ) -> list[list[PersonRegion | None]]:
-    """By person, by camera: the regions of the ``wanted`` people of a first picture whose hips and shoulders
-    meet in the world, those whom most cameras agree upon first; None: everybody.
+    """Return, by person and camera, the regions of the ``wanted`` people of a first picture whose hips and
+    shoulders meet in the world, those whom most cameras agree upon first; None: everybody.
 
     None in the place of a region: the camera does not show the person. One person is always given, though it
     be nobody. Raises ``CameraError`` when there are fewer than are wanted.
@@ -62,7 +62,7 @@ def matched_people(
 def _closest_person(
     cameras: Sequence[Camera], people: Sequence[Sequence[Person]], *, surely: bool
 ) -> tuple[Person | None, ...] | None:
-    """Of each camera's people those that are one person; None where two cameras agree upon nobody.
+    """Return those of each camera's people that are one person; None where two cameras agree upon nobody.
 
     surely: whether that the rays pass each other like those of two people leaves nobody, too.
     """
@@ -82,7 +82,7 @@ def _closest_person(
 
 
 def _is_of_one_size(cameras: Sequence[Camera], chosen: Sequence[Person | None]) -> bool:
-    """Whether what each camera shows is as large as what the others do, where their rays meet."""
+    """Return whether what each camera shows is as large as what the others do, where their rays meet."""
     seeing = [(c, p) for c, p in zip(cameras, chosen, strict=True) if p is not None]
     hips = _meeting([camera for camera, _ in seeing], [person.hips for _, person in seeing])
     sizes = [
@@ -93,7 +93,7 @@ def _is_of_one_size(cameras: Sequence[Camera], chosen: Sequence[Person | None]) 
 
 
 def _disagreement(cameras: Sequence[Camera], chosen: Sequence[Person | None]) -> float:
-    """How far hips and shoulders are from where all rays together put them, in sizes of the person.
+    """Return how far hips and shoulders are from where all rays together put them, in sizes of the person.
 
     Summed over the cameras; one without the person has a set cost.
     """
@@ -111,7 +111,7 @@ def _disagreement(cameras: Sequence[Camera], chosen: Sequence[Person | None]) ->
 
 
 def _meeting(cameras: Sequence[Camera], pixels: Sequence[FloatArray]) -> FloatArray:
-    """The point (3,) m, nearest to the rays through one pixel a camera."""
+    """Return the point (3,) m, nearest to the rays through one pixel a camera."""
     models = [camera_model(camera) for camera in cameras]
     directions = np.stack([ray(model, *pixel) for model, pixel in zip(models, pixels, strict=True)])
     positions = np.stack([model.position for model in models])

@@ -44,8 +44,8 @@ class CameraRig:
         keypoints: KeypointSet,
         options: RigOptions | None = None,
     ) -> None:
-        """cameras: calibrated, for the pictures as they are; tasks: in the same order; keypoints: of the
-        network."""
+        """Start a process for each camera. cameras: calibrated, for the pictures as they are; tasks: in the
+        same order; keypoints: of the network."""
         self._cameras, self._tasks, self._keypoints = cameras, tasks, keypoints
         self._options = options or RigOptions()
         paired = {row for pair in self._options.joined for row in pair}
@@ -72,7 +72,7 @@ class CameraRig:
         self.close()
 
     def __iter__(self) -> Iterator[list[list[bytes]]]:
-        """The messages of every instant, by person, in the order of the cameras, until the first camera
+        """Yield the messages of every instant, by person, in the order of the cameras, until the first camera
         ends."""
         self._order(self._first)
         unknown = [[Order() for _ in range(self.n_people)] for _ in self._cameras]
@@ -114,7 +114,7 @@ class CameraRig:
             process.order([orders[row] for row in rows])
 
     def _messages(self) -> list[list[bytes]] | None:
-        """By person, by camera; None at the end."""
+        """Return the next messages, by person and camera; None at the end."""
         answers = [process.messages() for process in self._processes]
         whole = [answer for answer in answers if answer is not None]
         if len(whole) < len(answers):
@@ -122,7 +122,7 @@ class CameraRig:
         return [list(each) for each in zip(*self._by_camera(whole), strict=True)]
 
     def _by_camera(self, answers: Sequence[Sequence[T]]) -> list[T]:
-        """Answers of processes as one list in the order of the cameras."""
+        """Return answers of processes as one list in the order of the cameras."""
         found = {
             row: each
             for rows, answer in zip(self._rows, answers, strict=True)
@@ -132,7 +132,7 @@ class CameraRig:
 
 
 def check_agreement(infos: Sequence[PictureInfo], tasks: Sequence[CameraTask]) -> None:
-    """Raises ``CameraError`` where rates or lengths show that the sources were not taken together."""
+    """Raise ``CameraError`` where rates or lengths show that the sources were not taken together."""
     first = infos[0]
     for info, task in zip(infos, tasks, strict=True):
         if abs(info.rate_hz - first.rate_hz) > _RATES_DIFFER * first.rate_hz:

@@ -51,20 +51,20 @@ class Sink(Protocol):
     served: Served
 
     def wait_for_first(self) -> None:
-        """Until there is somebody to take them."""
+        """Wait until there is somebody to take them."""
 
     def offer(self, message: bytes) -> None:
         """Hand over the messages of one picture; it never waits."""
 
     def newest_line(self) -> bytes:
-        """The last line of orders that came since this was asked; empty: none did."""
+        """Return the last line of orders that came since this was asked; empty: none did."""
 
     def close(self) -> None:
         """Hand over what is waiting, and end."""
 
 
 def serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None = None, people: int = 1) -> None:
-    """Until the camera ends, or Ctrl-C. Raises ``CameraError``.
+    """Serve a camera until it ends, or Ctrl-C. Raises ``CameraError``.
 
     begin_s: when a file begins, seconds since the epoch; None: when there is somebody to take it. people:
     that are followed at once.
@@ -97,7 +97,7 @@ class _LookedAt:
         self.close = self._source.close
 
     def __iter__(self) -> Iterator[tuple[int, Callable[[], bytes]]]:
-        """When, ns after the first one, and what makes the messages then."""
+        """Yield when, ns after the first one, and what makes the messages then."""
         for index, (time_ns, picture) in enumerate(self._source):
             instant = instant_of(self._task, self._source.info, index, time_ns)
             yield time_ns, partial(self._messages, picture, *instant)
@@ -121,13 +121,13 @@ class _Recorded:
             raise CameraError(f"{task.place} has no camera '{task.name}' (its cameras: {known})")
 
     def take(self, orders: CameraOrders) -> None:
-        """Nothing: whom it shows was decided when it was made."""
+        """Do nothing: whom it shows was decided when it was made."""
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""
 
     def __iter__(self) -> Iterator[tuple[int, Callable[[], bytes]]]:
-        """When, ns after the first one, and the message."""
+        """Yield when, ns after the first one, and the message."""
         first = self._messages[0].time_ns
         for each in self._messages:
             yield each.time_ns - first, partial(encode_heat_maps, each)
@@ -135,7 +135,7 @@ class _Recorded:
 
 @contextlib.contextmanager
 def listening(host: str, port: int) -> Iterator[socket.socket]:
-    """A TCP port. Raises ``CameraError`` where it cannot be had."""
+    """Listen on a TCP port. Raises ``CameraError`` where it cannot be had."""
     try:
         listener = socket.create_server((host, port))
     except OSError as error:
@@ -154,7 +154,7 @@ class Outlet:
         self.served = Served()
 
     def wait_for_first(self) -> None:
-        """Until somebody has connected."""
+        """Wait until somebody has connected."""
         with selectors.DefaultSelector() as selector:
             selector.register(self._listener, selectors.EVENT_READ)
             while not self._receivers:
@@ -162,7 +162,7 @@ class Outlet:
                 self._welcome()
 
     def offer(self, message: bytes) -> None:
-        """To every receiver, unless it is too far behind."""
+        """Hand messages to every receiver, unless it is too far behind."""
         self._welcome()
         self.served.messages += 1
         for receiver in self._receivers:
@@ -174,7 +174,8 @@ class Outlet:
         self._receivers = [receiver for receiver in self._receivers if _pushed(receiver)]
 
     def newest_line(self) -> bytes:
-        """The last line that came since this was asked, of whoever is connected the longest and tells any."""
+        """Return the last line that came since this was asked, of whoever is connected the longest and tells
+        any."""
         lines = [line for receiver in self._receivers if (line := _told(receiver))]
         return lines[0] if lines else b""
 
@@ -197,7 +198,7 @@ class Outlet:
 
 
 def _told(receiver: _Receiver) -> bytes:
-    """The last whole line of what a receiver has sent; what is no line is thrown away."""
+    """Return the last whole line of what a receiver has sent; what is no line is thrown away."""
     with contextlib.suppress(OSError):
         while data := receiver.connection.recv(1 << 16):
             receiver.told += data
@@ -208,7 +209,7 @@ def _told(receiver: _Receiver) -> bytes:
 
 
 def _pushed(receiver: _Receiver) -> bool:
-    """As much as the connection takes at once; False: it is gone."""
+    """Send as much as the connection takes at once; False: it is gone."""
     try:
         taken = receiver.connection.send(receiver.waiting) if receiver.waiting else 0
     except BlockingIOError:

@@ -81,7 +81,7 @@ class Pictures:
 def matched(
     places: Sequence[str], calibration: Path, pictures: Pictures
 ) -> tuple[tuple[Camera, ...], tuple[CameraTask, ...]]:
-    """The cameras of the places, made to fit their pictures, and what their processes are to do.
+    """Return the cameras of the places, made to fit their pictures, and what their processes are to do.
 
     A place belongs to the camera that is named before its ``=``, else to the one whose name stands in the
     file's own, else to the next in order. Raises ``GatewayError`` and ``CameraError``.
@@ -138,7 +138,7 @@ def _speaks_of(path: Path, name: str) -> bool:
 
 
 def offsets_of(texts: Sequence[str], known: list[str]) -> dict[str, int]:
-    """Pictures to leave out by camera. Raises ``GatewayError``."""
+    """Return pictures to leave out by camera. Raises ``GatewayError``."""
     offsets = {}
     for text in texts:
         name, _, number = text.partition("=")
@@ -152,7 +152,7 @@ def offsets_of(texts: Sequence[str], known: list[str]) -> dict[str, int]:
 
 
 def people_of(text: str) -> int | None:
-    """How many people; None: all. Raises ``GatewayError``."""
+    """Return how many people; None: all. Raises ``GatewayError``."""
     if text == "all":
         return None
     if not text.isdigit() or not 0 < int(text) <= MOST_PEOPLE:
@@ -161,7 +161,7 @@ def people_of(text: str) -> int | None:
 
 
 def joined_of(texts: Sequence[str], cameras: Sequence[Camera]) -> tuple[tuple[int, int], ...]:
-    """Pairs of cameras by their place in the order. Raises ``GatewayError``."""
+    """Return pairs of cameras by their place in the order. Raises ``GatewayError``."""
     names = [camera.name for camera in cameras]
     pairs = []
     for text in texts:
@@ -301,7 +301,7 @@ def _tell(text: str) -> None:
 
 
 def moment(text: str, now_s: float) -> float:
-    """The next time that it is so late in UTC, within twelve hours; seconds since the epoch. Raises
+    """Return the next time that it is so late in UTC, within twelve hours; seconds since the epoch. Raises
     ``GatewayError``."""
     try:
         wanted = datetime.strptime(text, "%H:%M:%S").replace(tzinfo=UTC)

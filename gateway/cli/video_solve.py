@@ -154,7 +154,7 @@ def _in_step(
 def _imported(
     files: Sequence[str], calibration: Path, pictures: Pictures, wanted: int | None, frames: int | None
 ) -> tuple[tuple[Camera, ...], str, list[Instants], float]:
-    """Cameras, keypoint set, messages by person and rate of keypoints that another program found."""
+    """Return cameras, keypoint set, messages by person and rate of keypoints that another program found."""
     from devices.cameras.keypoint_files import read_keypoints
     from gateway.cameras.imported_keypoints import keypoint_messages
 
@@ -194,7 +194,7 @@ def _people(
 
 
 def _places(target: Path, n: int, *, force: bool) -> list[Path]:
-    """Of n recordings. Raises ``GatewayError`` where one stands in the way."""
+    """Return the places of n recordings. Raises ``GatewayError`` where one stands in the way."""
     places = _named(target, n)
     for place in places:
         refuse_existing(place, force)
@@ -202,7 +202,7 @@ def _places(target: Path, n: int, *, force: bool) -> list[Path]:
 
 
 def _named(path: Path, n: int) -> list[Path]:
-    """n files beside ``path``, numbered; the path itself for one."""
+    """Return n files beside ``path``, numbered; the path itself for one."""
     return [path] if n == 1 else [path.with_stem(f"{path.stem}_{k + 1}") for k in range(n)]
 
 
@@ -249,7 +249,7 @@ def looked_at(
     *,
     is_shown: bool = True,
 ) -> tuple[list[Instants], float]:
-    """By person, the heat maps of every instant, a message a camera; and the rate in Hz."""
+    """Return by person the heat maps of every instant, a message a camera; and the rate in Hz."""
     from gateway.cameras.rig_of_cameras import CameraRig
     from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 
@@ -300,7 +300,7 @@ def _tell(outcome: dict[str, Any]) -> None:
 
 
 def _keypoint_figures(done: SolvedVideo, n_cameras: int) -> dict[str, dict[str, float]]:
-    """By keypoint; none of an offline solution, whose poses are not followed one by one."""
+    """Return figures by keypoint; none of an offline solution, whose poses are not followed one by one."""
     if not done.poses:
         return {}
     lost = np.array([pose.tracking != 0 for pose in done.poses])

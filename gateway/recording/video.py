@@ -61,7 +61,7 @@ class SolvedVideo:
 
 
 def video_settings(subject: str, rate_hz: float, name: str = "video") -> GatewaySettings:
-    """A configuration that solves the heat maps of one link."""
+    """Return a configuration that solves the heat maps of one link."""
     link = LinkSettings(name=LINK, url="tcp://localhost:9765", carries=CARRIES)
     return solved_settings(subject, rate_hz, link, name)
 
@@ -72,8 +72,8 @@ def video_suit(
     messages: Sequence[Sequence[bytes]],
     known: WornSuit | None = None,
 ) -> WornSuit:
-    """The person that the first instants show, and the cameras that look on. Raises ``GatewayError`` when
-    nobody is found, or ``known`` has other keypoints.
+    """Return the person that the first instants show, and the cameras that look on. Raises ``GatewayError``
+    when nobody is found, or ``known`` has other keypoints.
 
     messages: of every instant, one a camera; known: a person whose lengths are known already.
     """
@@ -102,7 +102,7 @@ def video_suit(
 
 
 def video_subject(name: str, suit: WornSuit) -> dict[str, Any]:
-    """The content of a subject file: person, keypoints, network and cameras."""
+    """Return the content of a subject file: person, keypoints, network and cameras."""
     assert suit.markers is not None
     assert suit.video is not None
     content = subject_content(
@@ -121,8 +121,8 @@ def write_solved_video(
     target: Path,
     progress: Progress | None = None,
 ) -> SolvedVideo:
-    """Every instant through the pipeline into ``target``. Raises ``RecordingError`` when that exists, OSError
-    as ``open`` does."""
+    """Solve every instant through the pipeline into ``target``. Raises ``RecordingError`` when that exists,
+    OSError as ``open`` does."""
     assert suit.video is not None
     assert suit.markers is not None
     settings = video_settings(subject, rate_hz)
@@ -156,8 +156,8 @@ def write_offline_video(
     target: Path,
     progress: Progress | None = None,
 ) -> SolvedVideo:
-    """The same recording with poses from tracking forwards and backwards: what was hidden for a while is
-    recovered from later instants. Raises as ``write_solved_video``."""
+    """Write the same recording with poses from tracking forwards and backwards: what was hidden for a while
+    is recovered from later instants. Raises as ``write_solved_video``."""
     assert suit.video is not None
     assert suit.markers is not None
     keypoints = load_keypoint_set(keypoint_set_of(suit.video.network))
@@ -187,8 +187,8 @@ def _session(target: Path, solved_by: str = "") -> dict[str, str]:
 
 
 def video_chunks(messages: Sequence[Sequence[bytes]], rate_hz: float) -> list[Chunk]:
-    """A chunk an instant. The last instant is repeated, so that the smoothing, which is late, gives its pose:
-    as the first one is in front."""
+    """Return a chunk an instant. The last instant is repeated, so that the smoothing, which is late, gives
+    its pose: as the first one is in front."""
     instants = [b"".join(instant) for instant in messages]
     chunks = [
         Chunk(data, _BEGUN_NS + round(index * 1e9 / rate_hz), LINK) for index, data in enumerate(instants)

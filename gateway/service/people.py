@@ -36,8 +36,8 @@ class PeopleBeforeCameras:
     def __init__(
         self, settings: GatewaySettings, suit: WornSuit, serve: Serve, tell: Callable[[bytes], None]
     ) -> None:
-        """suit: with the cameras; the lengths of its body do not count, everybody is measured. tell: hands
-        orders to the cameras. Raises ``SettingsError`` for a suit without cameras."""
+        """Begin with nobody. suit: with the cameras; the lengths of its body do not count, everybody is
+        measured. tell: hands orders to the cameras. Raises ``SettingsError`` for a suit without cameras."""
         if suit.video is None:
             raise SettingsError(f"people: {NO_CAMERAS}")
         assert settings.people is not None

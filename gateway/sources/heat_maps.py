@@ -31,7 +31,7 @@ class HeatMapSource(ListeningSource):
     observes = HeatMapFrame
 
     def __init__(self, suit: WornSuit) -> None:
-        """suit: of the person as the cameras see them."""
+        """Wait for cameras. suit: of the person as the cameras see them."""
         assert suit.video is not None
         self._row = {camera.name: row for row, camera in enumerate(suit.video.cameras)}
         self._network = suit.video.network
@@ -54,7 +54,7 @@ class HeatMapSource(ListeningSource):
         return frames
 
     def _frame(self, instant: Instant) -> HeatMapFrame:
-        """The person without a number, in all cameras."""
+        """Return the person without a number, in all cameras."""
         shown = {row: each for row, told in instant.told.items() for each in told if each.person == 0}
         maps = tuple(heat_maps_of(shown.get(row)) for row in range(len(self._row)))
         return HeatMapFrame(instant.sequence, instant.time_ns, maps)
@@ -128,7 +128,7 @@ class Instants:
         self._offset_ns: int | None = None
 
     def add(self, row: int, message: HeatMapMessage, arrived_ns: int) -> bool:
-        """Whether the message comes in time."""
+        """Take a message, and return whether it comes in time."""
         self._now_ns = arrived_ns
         self._heard_ns = self._heard_ns or [arrived_ns] * self._n
         self._heard_ns[row] = arrived_ns
@@ -146,7 +146,7 @@ class Instants:
         return True
 
     def complete(self) -> Iterator[Instant]:
-        """Instants that all cameras have told of, or that are given up waiting for, in order."""
+        """Yield instants that all cameras have told of, or that are given up waiting for, in order."""
         while self._waiting:
             first = min(self._waiting)
             if self._is_awaited(first):
@@ -160,7 +160,7 @@ class Instants:
             yield Instant(first, told[min(told)][0].time_ns + self._offset_ns, told)
 
     def _is_awaited(self, sequence: int) -> bool:
-        """Whether a camera may still tell of this instant, and is waited for."""
+        """Return whether a camera may still tell of this instant, and is waited for."""
         whole = {row for row, people in self._waiting[sequence].items() if _is_whole(people.values())}
         missing = set(range(self._n)) - whole
         may_come = any(
@@ -171,18 +171,18 @@ class Instants:
 
 
 def _is_whole(messages: Iterable[HeatMapMessage]) -> bool:
-    """Whether the last message of a picture is among those that came of it."""
+    """Return whether the last message of a picture is among those that came of it."""
     return any(message.following == 0 for message in messages)
 
 
 def heat_map_frame(sequence: int, messages: Sequence[bytes]) -> HeatMapFrame:
-    """One instant of messages, in the order of the cameras; its time is that of the first."""
+    """Return one instant of messages, in the order of the cameras; its time is that of the first."""
     read = [HeatMapReceiver().receive(message)[0] for message in messages]
     return HeatMapFrame(sequence, read[0].time_ns, tuple(map(heat_maps_of, read)))
 
 
 def heat_maps_of(message: HeatMapMessage | None) -> CameraHeatMaps | None:
-    """What a message shows; None: nobody, or there is no message."""
+    """Return what a message shows; None: nobody, or there is no message."""
     if message is None or message.likelihood is None:
         return None
     return CameraHeatMaps(message.likelihood.astype(np.float32) / np.float32(255), message.map_from_pixel)

@@ -56,7 +56,7 @@ class VideoCrowd:
         self._instants_together: Counter[tuple[int, int]] = Counter()
 
     def enter(self) -> VideoReconstructor:
-        """One more person, behind the others in the order."""
+        """Add one more person, behind the others in the order."""
         self.people.append(self._make())
         self._lost.append(0.0)
         return self.people[-1]
@@ -68,14 +68,14 @@ class VideoCrowd:
         self._instants_together.clear()
 
     def update(self, frames: Sequence[HeatMapFrame]) -> list[VideoPose]:
-        """The poses of one instant: one frame of maps for every person, in the order of the start.
+        """Return the poses of one instant: one frame of maps for every person, in the order of the start.
 
         Raises ``GatewayError`` when their number is not that of the people.
         """
         return self.follow(self.masked(frames))
 
     def follow(self, masked: Sequence[HeatMapFrame]) -> list[VideoPose]:
-        """The poses of one instant by frames that ``masked`` gave."""
+        """Return the poses of one instant by frames that ``masked`` gave."""
         poses = [person.update(frame) for person, frame in zip(self.people, masked, strict=True)]
         for index, pose in enumerate(poses):
             share = float((pose.tracking == Tracking.LOST).mean())
@@ -96,8 +96,8 @@ class VideoCrowd:
                 self.same_as[given_up] = kept
 
     def masked(self, frames: Sequence[HeatMapFrame]) -> list[HeatMapFrame]:
-        """The frames of one instant, from each what is another person's taken out, and left and right put
-        right; raises as ``update``."""
+        """Return the frames of one instant, from each what is another person's taken out, and left and right
+        put right; raises as ``update``."""
         if len(frames) != len(self.people):
             raise GatewayError(f"maps of {len(frames)} people for {len(self.people)} who are tracked")
         expected = [None if i in self.same_as else each.expected for i, each in enumerate(self.people)]
@@ -108,7 +108,7 @@ class VideoCrowd:
         ]
 
     def _masked(self, frame: HeatMapFrame, index: int, expected: Sequence[FloatArray | None]) -> HeatMapFrame:
-        """The maps of a person without the others; as they are until all are known; none of one who is
+        """Return the maps of a person without the others; as they are until all are known; none of one who is
         given up."""
         if index in self.same_as:
             return replace(frame, cameras=(None,) * len(frame.cameras))

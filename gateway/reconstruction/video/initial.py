@@ -33,7 +33,8 @@ PERSON_RADIUS = 1.3
 
 @compiled
 def centroids(maps: Maps) -> tuple[FloatArray, FloatArray]:
-    """Centroids (n_keypoints, 2), column and row, about the highest value; and that value (n_keypoints,)."""
+    """Return centroids (n_keypoints, 2), column and row, about the highest value; and that value
+    (n_keypoints,)."""
     n, rows, columns = maps.shape
     places, peaks = np.full((n, 2), np.nan), np.zeros(n)
     for m in range(n):
@@ -52,8 +53,8 @@ def centroids(maps: Maps) -> tuple[FloatArray, FloatArray]:
 
 
 def rays_through(model: CameraModel, maps: CameraHeatMaps) -> tuple[FloatArray, FloatArray]:
-    """Unit directions (n_keypoints, 3), world axes, through the centroids of one camera's maps, and how high
-    the maps are there (n_keypoints,)."""
+    """Return unit directions (n_keypoints, 3), world axes, through the centroids of one camera's maps, and
+    how high the maps are there (n_keypoints,)."""
     places, peaks = centroids(maps.likelihood)
     A = maps.map_from_pixel
     pixels = np.linalg.solve(A[:, :2], (places - A[:, 2]).T).T
@@ -91,7 +92,7 @@ def closest_pair(
 
 @compiled
 def nearest_to_rays(positions: FloatArray, directions: FloatArray, weights: FloatArray) -> FloatArray:
-    """The point (3,) m with the least weighted sum of squared distances from rays (n_cameras, 3).
+    """Return the point (3,) m with the least weighted sum of squared distances from rays (n_cameras, 3).
 
     NaN with fewer than
     two rays or parallel ones.
@@ -116,7 +117,8 @@ def nearest_to_rays(positions: FloatArray, directions: FloatArray, weights: Floa
 def from_rays(
     models: Sequence[CameraModel], maps: Sequence[CameraHeatMaps | None]
 ) -> tuple[FloatArray, FloatArray]:
-    """Keypoints (n_keypoints, 3) m and their summed peaks (n_keypoints,); NaN where rays do not meet."""
+    """Return keypoints (n_keypoints, 3) m and their summed peaks (n_keypoints,); NaN where rays do not
+    meet."""
     chosen = [(model, seen) for model, seen in zip(models, maps, strict=True) if seen is not None]
     n = chosen[0][1].likelihood.shape[0] if chosen else 0
     points, likelihood = np.full((n, 3), np.nan), np.zeros(n)
@@ -133,8 +135,8 @@ def from_rays(
 
 
 def middle_of_views(models: Sequence[CameraModel], maps: Sequence[CameraHeatMaps | None]) -> FloatArray:
-    """The point (3,) m nearest to the rays through the middles of the cameras' maps, where they look at
-    somebody; NaN where rays are too few or parallel."""
+    """Return the point (3,) m nearest to the rays through the middles of the cameras' maps, where they look
+    at somebody; NaN where rays are too few or parallel."""
     chosen = [(model, seen) for model, seen in zip(models, maps, strict=True) if seen is not None]
     directions = []
     for model, seen in chosen:
@@ -153,7 +155,7 @@ def from_volume(
     cell: float,
     is_wanted: NDArray[np.bool_],
 ) -> tuple[FloatArray, FloatArray]:
-    """Keypoints (n_keypoints, 3) m, and their summed PCM: the best cell of a cube of the volume.
+    """Return keypoints (n_keypoints, 3) m, and their summed PCM: the best cell of a cube of the volume.
 
     centre: (3,) m; half_width: of the cube, m; cell: its grid, m; is_wanted: (n_keypoints,); the others are
     NaN.
@@ -170,7 +172,7 @@ def from_volume(
 
 
 def within_person(points: FloatArray) -> FloatArray:
-    """Keypoints (n_keypoints, 3) with those that cannot be of the same person as most taken out (NaN).
+    """Return keypoints (n_keypoints, 3) with those that cannot be of the same person as most taken out (NaN).
 
     The gate: within ``PERSON_RADIUS`` of the median. A bystander that one camera pair agrees on is beyond.
     """

@@ -41,7 +41,7 @@ class Lattices(NamedTuple):
 
 @compiled
 def bilinear(values: Maps, column: float, row: float) -> float:
-    """A map (rows, columns) between its values; 0 outside it."""
+    """Return a map (rows, columns) between its values; 0 outside it."""
     rows, columns = values.shape
     if not (0.0 <= column <= columns - 1.0 and 0.0 <= row <= rows - 1.0):
         return 0.0
@@ -55,7 +55,7 @@ def bilinear(values: Maps, column: float, row: float) -> float:
 
 @compiled
 def smooth(values: Maps, column: float, row: float) -> float:
-    """A map (rows, columns) under a quadratic B-spline, nine values wide; 0 outside it.
+    """Return a map (rows, columns) under a quadratic B-spline, nine values wide; 0 outside it.
 
     Bilinear values have their maxima at the middles of cells, which are centimetres apart: the fine lattice
     would follow the cells.
@@ -113,7 +113,7 @@ def add_likelihood(total: FloatArray, view: View, lattices: Lattices, is_fine: b
 def best_points(
     total: FloatArray, centres: FloatArray, spacing: FloatArray, k: int, cluster: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """The candidates (n_keypoints, 3) m of lattices, and their summed PCM (n_keypoints,).
+    """Return the candidates (n_keypoints, 3) m of lattices, and their summed PCM (n_keypoints,).
 
     cluster: by the sum over a point and its six neighbours (then only inner points count). Between the
     points of the lattice the maximum is that of a parabola along each axis. Of points as likely as each
@@ -139,7 +139,7 @@ def best_points(
 
 @compiled
 def _nearer_preferred(total: FloatArray, k: int) -> FloatArray:
-    """Sums (n, n, n) less what being away from the middle costs."""
+    """Return sums (n, n, n) less what being away from the middle costs."""
     score = total.copy()
     for a in range(len(score)):
         for b in range(len(score)):
@@ -150,7 +150,7 @@ def _nearer_preferred(total: FloatArray, k: int) -> FloatArray:
 
 @compiled
 def _clustered(score: FloatArray) -> FloatArray:
-    """Sums over a point and its six neighbours; minus infinity on the faces of the lattice."""
+    """Return sums over a point and its six neighbours; minus infinity on the faces of the lattice."""
     n = len(score)
     sums = np.full((n, n, n), -np.inf)
     for a in range(1, n - 1):
@@ -167,7 +167,8 @@ def _clustered(score: FloatArray) -> FloatArray:
 
 @compiled
 def _vertex(score: FloatArray, place: tuple[int, int, int], axis: int, n: int) -> float:
-    """Where the parabola through a maximum and its neighbours along one axis is highest, -0.5 to 0.5."""
+    """Return where the parabola through a maximum and its neighbours along one axis is highest, -0.5 to
+    0.5."""
     if not 0 < place[axis] < n - 1:
         return 0.0
     a, b, c = place

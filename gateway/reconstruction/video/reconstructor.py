@@ -100,11 +100,11 @@ class VideoReconstructor:
         return self.expected_after(1)
 
     def expected_after(self, frames: int) -> FloatArray | None:
-        """(n_keypoints, 3) m, where they will be so many frames later; None: no person is known."""
+        """Return (n_keypoints, 3) m, where they will be so many frames later; None: no person is known."""
         return None if self.tracker.pose is None else self.tracker.expected_after(frames)
 
     def update(self, frame: HeatMapFrame) -> VideoPose:
-        """The pose of one instant. Without any maps the last pose is held; before the first, NaN."""
+        """Return the pose of one instant. Without any maps the last pose is held; before the first, NaN."""
         sighting = self.tracker.track(frame.cameras)
         pose = self.tracker.pose
         if pose is None:
@@ -130,7 +130,7 @@ class VideoReconstructor:
         )
 
     def finish(self) -> list[SkeletonFrame]:
-        """The smoothed frames that were still to come when the last pictures had been seen."""
+        """Return the smoothed frames that were still to come when the last pictures had been seen."""
         return self._smoothed.rest(self.tracker.body, self.tracker.floor)
 
     def _nobody(self, frame: HeatMapFrame) -> VideoPose:

@@ -26,8 +26,8 @@ def square_of(region: PersonRegion | None) -> Square | None:
 def person_region(
     camera: Camera, keypoints: FloatArray, names: Sequence[str], *, must_see: bool = True
 ) -> PersonRegion | None:
-    """The region of a person with keypoints (n_keypoints, 3) m of those names; None: the camera does not see
-    the person, and is left out.
+    """Return the region of a person with keypoints (n_keypoints, 3) m of those names; None: the camera does
+    not see the person, and is left out.
 
     must_see: None too where most of the person is beyond the picture's border.
     """

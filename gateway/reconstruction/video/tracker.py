@@ -128,13 +128,13 @@ class KeypointTracker:
         return keypoint_places(self.body.model, self.pose.R, self.pose.root)
 
     def expected_after(self, frames: int) -> FloatArray:
-        """(n_keypoints, 3) m, where they will be so many frames later, going on as they went."""
+        """Return (n_keypoints, 3) m, where they will be so many frames later, going on as they went."""
         if len(self._places) < 2:
             return self.places
         return self._places[-1] + frames * (self._places[-1] - self._places[-2])
 
     def put_right(self, maps: CameraMaps) -> CameraMaps:
-        """The maps with left and right exchanged where a camera has taken them for each other."""
+        """Return the maps with left and right exchanged where a camera has taken them for each other."""
         if self.pose is None:
             return maps
         return sides_put_right(self._models, maps, self.expected_after(1), self._pairs)
@@ -161,13 +161,14 @@ class KeypointTracker:
         self.pose = solve(self.body, goal, self.pose.R, self.pose.root, steps)
 
     def orientation_sigmas(self, sighting: Sighting) -> FloatArray:
-        """(S,) rad of the last pose, by what is seen of it."""
+        """Return (S,) rad of the last pose, by what is seen of it."""
         assert self.pose is not None
         weights = np.where(sighting.lost, 0.0, sighting.likelihood)
         return orientation_sigmas(self.body, sighting.candidates, weights, self.pose, HELD_SIGMA**-2)
 
     def _first(self, maps: CameraMaps) -> Sighting:
-        """A person from nothing but maps: rays, what they leave open from the volume, and a first pose."""
+        """Find a person from nothing but maps: rays, what they leave open from the volume, and a first
+        pose."""
         n = len(self.keypoints.names)
         nobody = Sighting(np.full((n, 3), np.nan), np.zeros(n))
         if len(maps) == 1:
@@ -184,7 +185,7 @@ class KeypointTracker:
         return self._search(maps)
 
     def _first_alone(self, maps: CameraMaps) -> Sighting | None:
-        """The same with one camera: depth by the floor, one ratio for all lengths."""
+        """Do the same with one camera: depth by the floor, one ratio for all lengths."""
         if maps[0] is None or not np.isfinite(self.floor):
             return None
         points = one_camera.from_floor(self._models[0], maps[0], self.keypoints.names, self.floor)
@@ -198,8 +199,8 @@ class KeypointTracker:
         return self._search(maps)
 
     def _completed(self, maps: CameraMaps, points: FloatArray) -> FloatArray:
-        """Points, those of the trunk that rays did not give by the best cell of the volume: that about the
-        others, else all that the maps of the cameras show together."""
+        """Return points, those of the trunk that rays did not give by the best cell of the volume: that about
+        the others, else all that the maps of the cameras show together."""
         is_wanted = np.zeros(len(points), dtype=np.bool_)
         is_wanted[self._trunk] = np.isnan(points[self._trunk, 0])
         if np.isfinite(points).any():
@@ -214,7 +215,7 @@ class KeypointTracker:
         return np.where(good[:, None], cells, points)
 
     def _stand_up(self, points: FloatArray) -> None:
-        """The standard body laid over the points of the trunk, sized, and bent to all of them."""
+        """Lay the standard body over the points of the trunk, size it, and bend it to all of them."""
         if not self._settled:
             self._set_lengths(part_lengths(self.keypoints, points))
         lowest = float(np.nanmin(points[:, 2]))
@@ -228,7 +229,7 @@ class KeypointTracker:
         self.solve(Sighting(points, np.ones(len(points))), _FIRST_STEPS)
 
     def _search(self, maps: CameraMaps) -> Sighting:
-        """Both lattices, with inverse kinematics after each."""
+        """Search both lattices, with inverse kinematics after each."""
         wide = np.minimum(1 + self._missed, WIDEST).astype(np.float64)
         # one camera tells no depth: going on as it went, the body would leave for nowhere
         alone = sum(seen is not None for seen in maps) < 2
@@ -256,7 +257,7 @@ class KeypointTracker:
         return Sighting(found, likelihood)
 
     def _measure(self, sighting: Sighting) -> None:
-        """The lengths of the parts: medians over the frames so far."""
+        """Measure the lengths of the parts: medians over the frames so far."""
         self._lengths.append(part_lengths(self.keypoints, sighting.candidates))
         rows = np.array(self._lengths)
         known = np.isfinite(rows).any(axis=0)
