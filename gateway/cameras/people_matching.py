@@ -84,7 +84,7 @@ def _closest_person(
 def _is_of_one_size(cameras: Sequence[Camera], chosen: Sequence[Person | None]) -> bool:
     """Return whether what each camera shows is as large as what the others do, where their rays meet."""
     seeing = [(c, p) for c, p in zip(cameras, chosen, strict=True) if p is not None]
-    hips = _meeting([camera for camera, _ in seeing], [person.hips for _, person in seeing])
+    hips = meeting_point([camera for camera, _ in seeing], [person.hips for _, person in seeing])
     sizes = [
         person.radius * float(camera.rotation[2] @ hips + camera.translation[2]) / float(camera.matrix[0, 0])
         for camera, person in seeing
@@ -103,14 +103,14 @@ def _disagreement(cameras: Sequence[Camera], chosen: Sequence[Person | None]) ->
         return cost
     for part in ("hips", "shoulders"):
         pixels = [getattr(person, part) for _, person in seeing]
-        point = _meeting([camera for camera, _ in seeing], pixels)
+        point = meeting_point([camera for camera, _ in seeing], pixels)
         for (camera, person), pixel in zip(seeing, pixels, strict=True):
             off = float(np.linalg.norm(project(camera, point) - pixel)) / person.radius
             cost += 0.5 * (off if np.isfinite(off) else 10.0)
     return cost
 
 
-def _meeting(cameras: Sequence[Camera], pixels: Sequence[FloatArray]) -> FloatArray:
+def meeting_point(cameras: Sequence[Camera], pixels: Sequence[FloatArray]) -> FloatArray:
     """Return the point (3,) m, nearest to the rays through one pixel a camera."""
     models = [camera_model(camera) for camera in cameras]
     directions = np.stack([ray(model, *pixel) for model, pixel in zip(models, pixels, strict=True)])
