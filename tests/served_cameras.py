@@ -16,6 +16,9 @@ from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.networks.person_detector import Person
 from gateway.reconstruction.video.region import PersonRegion
 
+_BESIDE = 0.5
+"""Of the likelihood, that keypoints have of people beside the one in the middle."""
+
 
 class Scene:
     """A camera, network and detector before people whose keypoints (n, n_keypoints, 3) m are known."""
@@ -23,11 +26,21 @@ class Scene:
     def __init__(self, camera: Camera, keypoints: KeypointSet) -> None:
         self._camera, self._set = camera, keypoints
         self.keypoints = keypoints.names
+        self._hips = [k for k, name in enumerate(keypoints.names) if name.endswith("_hip")]
 
     def heat_maps(self, people: FloatArray, region: PersonRegion) -> CameraHeatMaps:
-        """Return everybody's keypoints in a part of the picture."""
-        shown = people if len(people) else np.full((1, len(self.keypoints), 3), np.nan)
-        (maps,) = rendered([self._camera], [region], shown, 0).cameras
+        """Return everybody's keypoints in a part of the picture; those of whoever is in its middle are the
+        likeliest, for networks such as BlazePose look for one person there."""
+        if not len(people):
+            return self._maps(np.full((1, len(self.keypoints), 3), np.nan), region)
+        hips = [project(self._camera, points[self._hips]).mean(axis=0) for points in people]
+        nearest = int(np.argmin(np.linalg.norm(np.array(hips) - region.centre, axis=1)))
+        maps = self._maps(people[nearest : nearest + 1], region)
+        beside = self._maps(people, region).likelihood * np.float32(_BESIDE)
+        return CameraHeatMaps(np.maximum(maps.likelihood, beside), maps.map_from_pixel)
+
+    def _maps(self, people: FloatArray, region: PersonRegion) -> CameraHeatMaps:
+        (maps,) = rendered([self._camera], [region], people, 0).cameras
         assert maps is not None
         return maps
 
