@@ -29,8 +29,8 @@ pytestmark = [
 ]
 KEYPOINTS = load_keypoint_set("blazepose_33")
 CAMERAS = ring_of_cameras(3)
-N = 150
-PERIOD_S = 0.12
+N, BOTH = 90, 45
+PERIOD_S = 0.1
 
 
 def config_of(folder, port: int, people: int):
@@ -71,7 +71,7 @@ async def test_two_people_come_and_go(mosquitto, tmp_path):
     a = walking(KEYPOINTS, N, (-0.6, -0.4), (0.3, 0.0)).keypoints
     b = walking(KEYPOINTS, N, (0.7, 0.4), (-0.3, 0.1), phase=1.0).keypoints
     hips = [k for k, name in enumerate(KEYPOINTS.names) if name.endswith("_hip")]
-    both = [np.stack([a[f], b[f]]) for f in range(60)] + [b[f : f + 1] for f in range(60, N)]
+    both = [np.stack([a[f], b[f]]) for f in range(BOTH)] + [b[f : f + 1] for f in range(BOTH, N)]
     places: dict[str, list[tuple[int, list[float]]]] = {}
     service = Service(settings, load_rig(settings.rig, config))
 
@@ -103,7 +103,7 @@ async def test_two_people_come_and_go(mosquitto, tmp_path):
     for truth in (a, b):
         middle = truth[:, hips].mean(axis=1)
         off = [
-            np.median([np.linalg.norm(place - middle[seq]) for seq, place in told if seq < 55])
+            np.median([np.linalg.norm(place - middle[seq]) for seq, place in told if seq < BOTH])
             for told in places.values()
         ]
         assert min(off) < 0.15
