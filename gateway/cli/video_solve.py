@@ -117,14 +117,14 @@ def solve(
         captured, rate_hz = looked_at(seen, tasks, frames, options, is_shown=not as_json)
     if len(seen) < 2:
         typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
+    if synchronise:
+        captured = _in_step(seen, captured)
     if wanted is None:
         captured = _real_people(captured, seen)
     known = None if subject is None else load_rig(str(subject))
     outcomes = []
-    for looked, place, person in _people(captured, target, fit_subject, force=force):
-        messages, checked = looked, consistency_of(seen, looked)
-        if synchronise and checked.offsets:
-            messages, checked = _in_step(seen, looked, checked)
+    for messages, place, person in _people(captured, target, fit_subject, force=force):
+        checked = consistency_of(seen, messages)
         checked.refuse_wrong(cameras)
         suit = video_suit(seen, network, messages, known)
         if person is not None:
@@ -139,16 +139,16 @@ def solve(
         typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
 
 
-def _in_step(
-    cameras: Sequence[Camera], messages: Instants, checked: Consistency
-) -> tuple[Instants, Consistency]:
-    """Leave pictures out at the start of cameras that began earlier, and look again how all agree."""
+def _in_step(cameras: Sequence[Camera], captured: Sequence[Instants]) -> list[Instants]:
+    """Leave pictures out at the start of cameras that began earlier, as the first person tells, for all."""
     from gateway.cameras.consistency import consistency_of, in_step
 
-    shifted = in_step(messages, checked.skipped)
+    checked = consistency_of(cameras, captured[0])
+    if not checked.offsets:
+        return list(captured)
     told = ", ".join(f"{name} {late}" for name, late in zip(checked.names, checked.skipped, strict=True))
     typer.echo(f"note: pictures left out so that the cameras are in step: {told}", err=True)
-    return shifted, consistency_of(cameras, shifted)
+    return [in_step(messages, checked.skipped) for messages in captured]
 
 
 def _imported(
