@@ -36,7 +36,7 @@ class BrokerOutlet:
         self._settings = settings
         self._topic = topic
         self._waiting: deque[bytes] = deque()
-        self._told = b""
+        self._newest_line = b""
         self._arrival = asyncio.Event()
         self._idle = asyncio.Event()
         self._idle.set()
@@ -57,7 +57,7 @@ class BrokerOutlet:
 
     def newest_line(self) -> bytes:
         """Return the last line of orders that came since this was asked; empty: none did."""
-        line, self._told = self._told, b""
+        line, self._newest_line = self._newest_line, b""
         return line
 
     def close(self) -> None:
@@ -109,7 +109,7 @@ class BrokerOutlet:
     async def _listen(self, client: aiomqtt.Client) -> None:
         async for message in client.messages:
             if isinstance(message.payload, bytes) and not message.retain:
-                self._told = message.payload.strip()
+                self._newest_line = message.payload.strip()
 
     async def _publish(self, client: aiomqtt.Client) -> None:
         while True:

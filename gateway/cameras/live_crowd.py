@@ -107,7 +107,7 @@ class LiveCrowd:
         self._tracked: list[_Tracked] = []  # in the order of the crowd's people
         self._receivers: dict[str, HeatMapReceiver] = {}
         self._instants = Instants(len(video.cameras))
-        self._told = 0
+        self._tracked_ever = 0
         self.counts = CrowdCounts()
 
     @property
@@ -240,8 +240,8 @@ class LiveCrowd:
                 for person, number in found[row]
                 if person is one
             }
-            self._told += 1
-            self._tracked.append(_Tracked(self._told, own))
+            self._tracked_ever += 1
+            self._tracked.append(_Tracked(self._tracked_ever, own))
             self._crowd.enter()
 
     def _found(self, row: int, instant: Instant) -> list[tuple[Person, int]]:

@@ -45,11 +45,11 @@ class PeopleFollower:
         """By number; None: in no picture, until told otherwise."""
         self._since: dict[int, int] = {}  # by number of our own, the picture in which the person was found
         self._last: FloatArray | None = None
-        self._pictures = self._looks = self._found = self._told_at = 0
+        self._pictures = self._looks = self._found = self._ordered_at = 0
 
     def take(self, orders: CameraOrders) -> None:
         """Follow whom the gateway names where it says, and nobody else by a number of the gateway's."""
-        self._told_at = self._pictures
+        self._ordered_at = self._pictures
         told = {number: _region_of(square) for number, square in orders.squares.items()}
         if self._most == 1:
             told = {0: told.get(0, self._regions.get(0))}
@@ -81,7 +81,7 @@ class PeopleFollower:
 
     def _look(self, picture: Picture) -> None:
         """Begin to follow whom the detector finds beside those who are followed."""
-        if self._pictures - self._told_at > _SILENT:
+        if self._pictures - self._ordered_at > _SILENT:
             self._regions = {
                 number: region
                 for number, region in self._regions.items()

@@ -176,7 +176,7 @@ class Outlet:
     def newest_line(self) -> bytes:
         """Return the last line that came since this was asked, of whoever is connected the longest and tells
         any."""
-        lines = [line for receiver in self._receivers if (line := _told(receiver))]
+        lines = [line for receiver in self._receivers if (line := _last_line(receiver))]
         return lines[0] if lines else b""
 
     def close(self) -> None:
@@ -197,7 +197,7 @@ class Outlet:
                 self._receivers.append(_Receiver(connection))
 
 
-def _told(receiver: _Receiver) -> bytes:
+def _last_line(receiver: _Receiver) -> bytes:
     """Return the last whole line of what a receiver has sent; what is no line is thrown away."""
     with contextlib.suppress(OSError):
         while data := receiver.connection.recv(1 << 16):

@@ -171,13 +171,15 @@ def from_volume(
     return best_points(total, centres, spacing, k, False)
 
 
-def within_person(points: FloatArray) -> FloatArray:
+def within_person(points: FloatArray, sure: NDArray[np.bool_] | None = None) -> FloatArray:
     """Return keypoints (n_keypoints, 3) with those that cannot be of the same person as most taken out (NaN).
 
-    The gate: within ``PERSON_RADIUS`` of the median. A bystander that one camera pair agrees on is beyond.
+    The gate: within ``PERSON_RADIUS`` of the median, of those that are ``sure`` (n_keypoints,) where any are.
+    A bystander that one camera pair agrees on is beyond.
     """
-    if not np.isfinite(points).any():
+    known = points if sure is None else points[sure]
+    if not np.isfinite(known).any():
         return points
-    middle = np.nanmedian(points, axis=0)
+    middle = np.nanmedian(known, axis=0)
     apart = np.linalg.norm(points - middle, axis=1)
     return np.where((apart < PERSON_RADIUS)[:, None], points, np.nan)

@@ -46,7 +46,6 @@ TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
 _BELOW_FLOOR = 0.25
 """Of the lowest keypoint at the start, from which the floor told cannot be the person's, m."""
 _VOLUME_CELL = 0.08
-_VOLUME_HALF_WIDTH = 0.4
 _STEPS = 8
 _FIRST_STEPS = 40
 
@@ -199,20 +198,21 @@ class KeypointTracker:
         return self._search(maps)
 
     def _completed(self, maps: CameraMaps, points: FloatArray) -> FloatArray:
-        """Return points, those of the trunk that rays did not give by the best cell of the volume: that about
-        the others, else all that the maps of the cameras show together."""
-        is_wanted = np.zeros(len(points), dtype=np.bool_)
-        is_wanted[self._trunk] = np.isnan(points[self._trunk, 0])
-        if np.isfinite(points).any():
-            centre, half_width = np.nanmedian(points, axis=0), _VOLUME_HALF_WIDTH
-        else:
-            centre, half_width = initial.middle_of_views(self._models, maps), initial.PERSON_RADIUS
+        """Return points, those of the trunk by the best cells of what the cameras' maps show together, and
+        others where they can be of the same person."""
+        centre = initial.middle_of_views(self._models, maps)
         if not np.isfinite(centre).all():
             return points
-        cells, likely = initial.from_volume(self._models, maps, centre, half_width, _VOLUME_CELL, is_wanted)
+        is_trunk = np.zeros(len(points), dtype=np.bool_)
+        is_trunk[self._trunk] = True
+        cells, likely = initial.from_volume(
+            self._models, maps, centre, initial.PERSON_RADIUS, _VOLUME_CELL, is_trunk
+        )
         n_cameras = sum(seen is not None for seen in maps)
-        good = is_wanted & (likely > LEAST_MEAN * n_cameras)
-        return np.where(good[:, None], cells, points)
+        good = is_trunk & (likely > LEAST_MEAN * n_cameras)
+        if good.sum() < len(self._trunk) - 1:
+            return points
+        return initial.within_person(np.where(good[:, None], cells, points), good)
 
     def _stand_up(self, points: FloatArray) -> None:
         """Lay the standard body over the points of the trunk, size it, and bend it to all of them."""
