@@ -65,7 +65,7 @@ def run() -> Report:
 def _points(seen: Seen) -> dict[str, FloatArray]:
     """(F, 12, 3) m, by what they are."""
     names = seen.person.names
-    solved, uniform = solve(seen), solve(seen, weighted=False)
+    solved = solve(seen)
     pixels, likelihood = points_2d(seen)
     rows = [names.index(name) for name in LIMBS]
     peer, places = triangulated(seen.cameras, pixels[:, :, rows], likelihood[:, :, rows])
@@ -73,7 +73,6 @@ def _points(seen: Seen) -> dict[str, FloatArray]:
         "candidates of the lattice": solved.candidates,
         "body, weighted by PCM": solved.body,
         "body, weighted by PCM, smoothed": solved.smoothed,
-        "body, uniform weights": uniform.body,
     }
     return {name: limbs_of(each, names) for name, each in body.items()} | {
         peer: places,
@@ -96,7 +95,7 @@ def _reference(name: str = "ref_0-100_filt_butterworth.trc") -> FloatArray:
 
 
 def _figures(points: dict[str, FloatArray]) -> list[Figure]:
-    body, smoothed, peer = (list(points.values())[k] for k in (1, 2, 4))
+    body, smoothed, peer = (list(points.values())[k] for k in (1, 2, 3))
     ours, theirs = agreement(smoothed, _reference()), agreement(peer, _reference())
     what = "12 limb joints, 4 cameras, BlazePose full, smoothed; agreement with another markerless result"
     return [
@@ -105,7 +104,7 @@ def _figures(points: dict[str, FloatArray]) -> list[Figure]:
         Figure("pictures_aligned_mm", ours.aligned_frames, "mm", "<=30", "the same, every frame aligned"),
         Figure(
             "pictures_mean_over_peer", ours.mean / theirs.mean, "", "<1.0",
-            f"over {list(points)[4]} of the same heat maps' centroids",
+            f"over {list(points)[3]} of the same heat maps' centroids",
         ),
         Figure(
             "pictures_aligned_over_peer", ours.aligned_frames / theirs.aligned_frames, "", "<1.0",

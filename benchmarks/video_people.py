@@ -53,7 +53,7 @@ def run() -> Report:
     alone = solve(look("full")).body[:INSTANTS]
     cameras = calibrated_cameras()
     with tempfile.TemporaryDirectory() as folder:
-        tasks = _pasted(cameras, alone, Path(folder))
+        tasks = pasted(cameras, alone, Path(folder))
         people = _solved(cameras, tasks, RigOptions(people=2))
     off = [[_apart(person, alone + shift) for person in people] for shift in (np.zeros(3), ASIDE)]
     report.figures += [
@@ -96,7 +96,7 @@ def _solved(cameras: Sequence[Camera], tasks: Sequence[CameraTask], options: Rig
     return found
 
 
-def _pasted(cameras: Sequence[Camera], places: FloatArray, folder: Path) -> list[CameraTask]:
+def pasted(cameras: Sequence[Camera], places: FloatArray, folder: Path) -> list[CameraTask]:
     """Folders of the clip's pictures with the person (INSTANTS, n_keypoints, 3) m in them twice."""
     for camera in cameras:
         for t, picture in enumerate(_film(camera)):

@@ -86,9 +86,9 @@ def look(network_name: str) -> Seen:
     return Seen(cameras, reconstructor.person, frames, network_ms, reconstructor_ms)
 
 
-def solve(seen: Seen, weighted: bool = True) -> Solved:
+def solve(seen: Seen) -> Solved:
     """All frames with the lengths measured before."""
-    options = VideoOptions(weighted=weighted, is_measured=True)
+    options = VideoOptions(is_measured=True)
     reconstructor = VideoReconstructor(seen.cameras, seen.person, options)
     poses = [reconstructor.update(frame) for frame in seen.frames]
     smoothed = [pose.skeleton for pose in poses if pose.skeleton is not None] + reconstructor.finish()

@@ -1,29 +1,41 @@
-"""Suite ``video_speed``: four cameras to skeleton frames, stage by stage, and what the heat maps cost."""
+"""Suite ``video_speed``: four cameras to skeleton frames, by stage and by the clock; what heat maps cost."""
 
 from __future__ import annotations
 
 import itertools
+import os
+import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import psutil
 
 from benchmarks.figures import Figure, Report, table
+from benchmarks.video_people import INSTANTS as PASTED
+from benchmarks.video_people import pasted
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from devices.cameras.pictures import Picture, open_pictures
+from devices.link import Chunk
 from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
+from gateway.cameras.camera_process import CameraTask
+from gateway.cameras.rig_of_cameras import CameraRig, RigOptions
+from gateway.frames import FloatArray
 from gateway.pipeline import Pipeline
+from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.networks.cropping import cropped
 from gateway.reconstruction.video.networks.network import PoseNetwork, load_network
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
+from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.reconstruction.video.region import PersonRegion, peaks, region_of_maps
 from gateway.recording.video import LINK, video_chunks, video_settings, video_suit
+from gateway.sources.heat_maps import heat_map_frame
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "pose2sim_single"
 INSTANTS = 24
@@ -32,6 +44,9 @@ _CORES = 2
 _NETWORK_PICTURES = 12
 _CROP = 256
 _MIRRORED = 8
+_FIRST, _TIMED = 12, 26
+"""Instants."""
+_CLOCK = "4 cameras of 1088×1920 on 2 cores, BlazePose full, from files to poses"
 
 Value = TypeVar("Value")
 
@@ -70,6 +85,17 @@ def run() -> Report:
         name: _CORES * 1e3 / (len(cameras) * (rest + ms) + solve_ms) for name, ms in networks.items()
     }
     _tell(report, stages, networks, per_second, solve_ms)
+    tasks = [CameraTask(camera.name, place, "full") for camera, place in zip(cameras, places, strict=True)]
+    report.figures += _rates("one_person", _by_the_clock(cameras, tasks, 1), ">=15", "")
+    with tempfile.TemporaryDirectory() as folder:
+        both = pasted(tuple(cameras), _known(cameras, instants), Path(folder))
+        os.sync()  # a gigabyte of pictures that is still being written would be measured, too
+        report.figures += _rates(
+            "two_people",
+            _by_the_clock(cameras, both, 2),
+            ">=10",
+            "; the second is pasted in, pictures are .bmp",
+        )
     size = float(np.mean([len(message) for each in messages for message in each]))
     report.figures += [
         Figure("message_bytes", size, "bytes", "", "heat maps of one picture as they go over the wire"),
@@ -104,6 +130,48 @@ def _tell(
     report.figures.append(
         Figure("solve_ms", solve_ms, "ms", "", "all that follows the heat maps, an instant")
     )
+
+
+def _rates(name: str, measured: tuple[float, float], target: str, note: str) -> list[Figure]:
+    """What one and two people are solved at."""
+    by_clock, by_processor = measured
+    return [
+        Figure(f"{name}_frames_per_s", by_clock, "1/s", target, f"{_CLOCK}: by the clock{note}"),
+        Figure(
+            f"{name}_processor_frames_per_s", by_processor, "1/s", "",
+            f"the same by the processor time of all processes, {_CORES} cores kept busy by nothing else",
+        ),
+    ]  # fmt: skip
+
+
+def _by_the_clock(cameras: Sequence[Camera], tasks: Sequence[CameraTask], people: int) -> tuple[float, float]:
+    """Instants a second that come out solved, by the clock and by processor time, after the first ones, which
+    compile and measure the people."""
+    with CameraRig(cameras, tasks, load_keypoint_set("blazepose_33"), RigOptions(people=people)) as rig:
+        instants = enumerate(rig)
+        first = [instant for _, instant in itertools.islice(instants, _FIRST)]
+        pipelines = [_pipeline(cameras, list(messages), rig.rate_hz) for messages in zip(*first, strict=True)]
+        began, used = time.perf_counter(), _processor_s()
+        for index, instant in itertools.islice(instants, _TIMED):
+            for pipeline, messages in zip(pipelines, instant, strict=True):
+                pipeline.feed(Chunk(b"".join(messages), round(index * 1e9 / rig.rate_hz), LINK))
+        spent, used = time.perf_counter() - began, _processor_s() - used
+    return _TIMED / spent, _CORES * _TIMED / used
+
+
+def _processor_s() -> float:
+    """Of this process and those that it has started."""
+    here = psutil.Process()
+    times = [each.cpu_times() for each in (here, *here.children(recursive=True))]
+    return float(sum(each.user + each.system for each in times))
+
+
+def _known(cameras: Sequence[Camera], instants: list[list[bytes]]) -> FloatArray:
+    """Where the person is, (n, n_keypoints, 3) m, in as many pictures as ``pasted`` takes."""
+    keypoints = load_keypoint_set("blazepose_33")
+    reconstructor = VideoReconstructor(cameras, keypoints)
+    found = [reconstructor.update(heat_map_frame(t, each)).keypoints for t, each in enumerate(instants)]
+    return np.array(found + found[-1:] * (PASTED - len(found)))
 
 
 def _cameras() -> tuple[list[Camera], list[str]]:
@@ -159,13 +227,18 @@ def _first(place: str) -> tuple[Picture, PersonRegion]:
 
 def _solve_ms(cameras: list[Camera], instants: list[list[bytes]], rate: float) -> float:
     """All that follows the heat maps, ms an instant, after compiling."""
-    suit = video_suit(cameras, "full", instants)
-    pipeline = Pipeline.from_settings(video_settings("benchmark", rate), suit)
-    pipeline.add_link(LINK, "heat_maps")
+    pipeline = _pipeline(cameras, instants, rate)
     stages = Stages()
     for chunk in video_chunks(instants, rate):
         stages.timed("solve", lambda c=chunk: pipeline.feed(c))  # type: ignore[misc]
     return stages.ms("solve")
+
+
+def _pipeline(cameras: Sequence[Camera], instants: list[list[bytes]], rate: float) -> Pipeline:
+    suit = video_suit(cameras, "full", instants)
+    pipeline = Pipeline.from_settings(video_settings("benchmark", rate), suit)
+    pipeline.add_link(LINK, "heat_maps")
+    return pipeline
 
 
 def _mirrored_offset(place: str) -> float:

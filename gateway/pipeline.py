@@ -145,6 +145,10 @@ class Pipeline:
         """Return what reads a link that was announced."""
         return self._routes[link][0]
 
+    def stage_at(self, link: str) -> Stage[Any]:
+        """Return the stage behind a link that was announced."""
+        return self._routes[link][1]
+
     def has_modules(self, link: str) -> bool:
         """Return whether modules are at the other end of a link that was announced."""
         return self._routes[link][0].observes in (InertialBatch, FusedReading)

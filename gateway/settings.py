@@ -322,6 +322,14 @@ class GatewaySettings(_Strict):
         description="further people whose markers come by the links of markers, each solved, published and "
         "recorded by itself; outputs beside MQTT have the first person alone",
     )
+    people: int | None = Field(
+        default=None,
+        ge=1,
+        le=8,
+        description="before cameras (`video serve-camera --people`): as many people as are followed at once; "
+        "whoever enters is measured, published and recorded as <gateway>_<number> until they have left. Of "
+        "the rig the cameras count. None: the one person of the rig",
+    )
     reconstructor: str = Field(
         default="joint",
         description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}; or {OPTICAL}, of markers, which is the "
@@ -392,6 +400,8 @@ class GatewaySettings(_Strict):
         names = [body.name for body in self.bodies]
         if len(set(names)) < len(names):
             raise ValueError("bodies: every one needs a name of its own")
+        if self.people is not None and not any(link.carries == "heat_maps" for link in self.links):
+            raise ValueError("people: no link carries heat_maps, of which theirs would be")
         if self.bodies and not any(link.carries == "markers" for link in self.links):
             raise ValueError("bodies: no link carries markers, of which theirs would be")
         return self

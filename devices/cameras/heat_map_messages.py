@@ -2,15 +2,17 @@
 
     offset  type      what
     0       char[4]   "MGHM"
-    4       uint8     version, 1
+    4       uint8     version: 1, or 2 of a person with a number
     5       uint8     n: length of the camera's name
     6       uint8     m: length of the network's name
-    7       uint8     1: a person is shown; 0: none, and nothing follows the names
+    7       uint8     1: a person is shown; 0: none, and no maps follow
     8       uint32    sequence: pictures since the start
     12      int64     time, ns: of the picture, by the sender's clock
     20      uint32    length of all that follows
     24      char[n]   camera, UTF-8
     24+n    char[m]   network, UTF-8: it decides the names of the maps
+    …       uint32    person's number, version 2 alone: see ``HeatMapMessage.person``
+    …       uint8     messages of the same picture that follow this one, version 2 alone
     …       float64×6 the affine: pixel (x, y, 1) of the picture to (column, row) of the maps, by rows
     …       uint16×3  maps, rows, columns
     …       bytes     the maps, one byte a cell, likelihood × 255, compressed by zstd
@@ -29,8 +31,11 @@ import zstandard
 from numpy.typing import NDArray
 
 MAGIC = b"MGHM"
-VERSION = 1
+VERSION, NUMBERED_VERSION = 1, 2
+FOUND_BY_CAMERA = 1 << 31
+"""Numbers from here on are given by a camera to people it has found; below, by the gateway."""
 _HEAD = struct.Struct("<4sBBBBIqI")
+_PERSON = struct.Struct("<IB")
 _MAPS = struct.Struct("<6d3H")
 LONGEST = 4 << 20
 """Bytes of a message; 33 maps of 64 cells a side take about ten thousand."""
@@ -51,6 +56,15 @@ class HeatMapMessage:
     """(n_keypoints, rows, columns), 255 is certain; None: nobody is in the picture."""
     map_from_pixel: NDArray[np.float64]
     """(2, 3)."""
+    person: int = 0
+    """Number of the person; 0: the one person that the camera follows."""
+    following: int = 0
+    """Messages of the same picture that follow this one."""
+
+    @property
+    def is_numbered(self) -> bool:
+        """Whether it is one of several people's."""
+        return bool(self.person or self.following)
 
 
 def quantised(likelihood: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -67,29 +81,37 @@ def encode_heat_maps(message: HeatMapMessage) -> bytes:
     if max(map(len, names)) > 255:
         raise ValueError("names of cameras and networks have 255 bytes at most")
     body = b"".join(names)
+    if message.is_numbered:
+        body += _PERSON.pack(message.person, message.following)
     if message.likelihood is not None:
         body += _MAPS.pack(*message.map_from_pixel.ravel(), *message.likelihood.shape)
         body += zstandard.ZstdCompressor(level=1).compress(np.ascontiguousarray(message.likelihood).tobytes())
     head = _HEAD.pack(
-        MAGIC, VERSION, len(names[0]), len(names[1]), message.likelihood is not None,
-        message.sequence, message.time_ns, len(body),
+        MAGIC, NUMBERED_VERSION if message.is_numbered else VERSION, len(names[0]), len(names[1]),
+        message.likelihood is not None, message.sequence, message.time_ns, len(body),
     )  # fmt: skip
     return head + body
 
 
 def retimed(message: bytes, sequence: int, time_ns: int) -> bytes:
     """Return a message with another sequence and time."""
-    magic, version, n, m, has_maps, _, _, length = _HEAD.unpack_from(message)
-    head = _HEAD.pack(magic, version, n, m, has_maps, sequence, time_ns, length)
-    return head + message[_HEAD.size :]
+    *before, _, _, length = _HEAD.unpack_from(message)
+    return _HEAD.pack(*before, sequence, time_ns, length) + message[_HEAD.size :]
 
 
-def is_one_message(data: bytes) -> bool:
-    """Return whether the bytes are one message, exactly as long as it says."""
-    if len(data) < _HEAD.size or not data.startswith(MAGIC):
-        return False
-    length: int = _HEAD.unpack_from(data)[-1]
-    return length <= LONGEST and len(data) == _HEAD.size + length
+def camera_of(data: bytes) -> str | None:
+    """Return the camera that whole messages are from; None: the bytes are not messages from end to end."""
+    at, name = 0, None
+    while at < len(data):
+        if len(data) - at < _HEAD.size or not data.startswith(MAGIC, at):
+            return None
+        _, _, n, *_, length = _HEAD.unpack_from(data, at)
+        first = at + _HEAD.size
+        if length > LONGEST or first + length > len(data) or n > length:
+            return None
+        name = data[first : first + n].decode(errors="replace")
+        at = first + length
+    return name
 
 
 class HeatMapReceiver:
@@ -112,8 +134,9 @@ class HeatMapReceiver:
             if len(rest) < _HEAD.size:
                 break
             _, version, *_, length = _HEAD.unpack_from(rest)
-            if version != VERSION or length > LONGEST:
-                self.dropped["bad_version" if version != VERSION else "too_long"] += 1
+            is_known = version in {VERSION, NUMBERED_VERSION}
+            if not is_known or length > LONGEST:
+                self.dropped["too_long" if is_known else "bad_version"] += 1
                 rest = rest[len(MAGIC) :]
                 continue
             if len(rest) < _HEAD.size + length:
@@ -132,20 +155,28 @@ class HeatMapReceiver:
 
 def _read(data: bytes) -> HeatMapMessage | None:
     """Return one whole message; None: it contradicts itself."""
-    _, _, n, m, has_maps, sequence, time_ns, _ = _HEAD.unpack_from(data)
+    _, version, n, m, has_maps, sequence, time_ns, _ = _HEAD.unpack_from(data)
     body = data[_HEAD.size :]
+    at, person, following = n + m, 0, 0
     try:
-        camera, network = body[:n].decode(), body[n : n + m].decode()
+        camera, network = body[:n].decode(), body[n:at].decode()
+        if version == NUMBERED_VERSION:
+            person, following = _PERSON.unpack_from(body, at)
+            at += _PERSON.size
         if not has_maps:
-            return HeatMapMessage(camera, network, sequence, time_ns, None, np.zeros((2, 3)))
-        *affine, maps, rows, columns = _MAPS.unpack_from(body, n + m)
+            return HeatMapMessage(
+                camera, network, sequence, time_ns, None, np.zeros((2, 3)), person, following
+            )
+        *affine, maps, rows, columns = _MAPS.unpack_from(body, at)
         cells = maps * rows * columns
         # Before anything is unpacked: a damaged head must not ask for all memory.
         if not (0 < cells <= _LARGEST_MAPS and np.isfinite(affine).all()):
             return None
-        packed = body[n + m + _MAPS.size :]
+        packed = body[at + _MAPS.size :]
         plain = zstandard.ZstdDecompressor().decompress(packed, max_output_size=cells)
         likelihood = np.frombuffer(plain, dtype=np.uint8).reshape(maps, rows, columns)
     except (struct.error, UnicodeDecodeError, ValueError, zstandard.ZstdError):
         return None
-    return HeatMapMessage(camera, network, sequence, time_ns, likelihood, np.reshape(affine, (2, 3)))
+    return HeatMapMessage(
+        camera, network, sequence, time_ns, likelihood, np.reshape(affine, (2, 3)), person, following
+    )

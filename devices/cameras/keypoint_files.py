@@ -8,7 +8,9 @@ file a picture, ``{"people": [{"pose_keypoints_2d": [x, y, likelihood, …]}]}``
 from __future__ import annotations
 
 import json
+import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,12 @@ from devices.vendor_formats.sheets import FormatError
 
 _NUMBERS = re.compile(r"\d+")
 _FIELDS = ("pose_keypoints_2d", "keypoints")
+_MOST_MISSING = 10
+"""Times as many pictures as there are files or entries, beyond which numbers are not those of pictures."""
+_SURE_STEPS = 10
+"""Numbers from which their common step is one, and no accident of those that are left out."""
+
+People = tuple[NDArray[np.float64], ...]
 
 
 @dataclass(frozen=True)
@@ -27,8 +35,11 @@ class PictureKeypoints:
     """The pictures of one camera."""
 
     path: Path
-    people: tuple[tuple[NDArray[np.float64], ...], ...]
+    people: tuple[People, ...]
     """Of each picture each person's (n, 3): x, y, likelihood, pixels of the picture; all zero: not found."""
+    first: int = 0
+    """Number of the first picture, counted in steps of the numbers: where the cameras' numbers overlap, it
+    tells who began to see somebody later."""
 
     @property
     def n_keypoints(self) -> int:
@@ -43,11 +54,12 @@ def is_keypoints(place: str) -> bool:
 
 
 def read_keypoints(path: Path) -> PictureKeypoints:
-    """Read a folder of files, one per picture, in the order of the last number in their names; or one file.
+    """Read a folder of files, one a picture, in the order of the last numbers in their names; or one file for
+    all. Pictures that numbers leave out show nobody.
 
     Raises ``FormatError``.
     """
-    found = _of_folder(path) if path.is_dir() else _of_file(path)
+    first, found = _of_folder(path) if path.is_dir() else _of_file(path)
     counts = {len(person) for people in found for person in people}
     if len(counts) > 1:
         raise FormatError(
@@ -55,12 +67,26 @@ def read_keypoints(path: Path) -> PictureKeypoints:
         )
     if not counts:
         raise FormatError(f"{path}: nobody in any of {len(found)} pictures")
-    return PictureKeypoints(path, tuple(found))
+    return PictureKeypoints(path, tuple(found), first)
 
 
-def _of_folder(path: Path) -> list[tuple[NDArray[np.float64], ...]]:
+def _of_folder(path: Path) -> tuple[int, list[People]]:
     files = sorted(path.glob("*.json"), key=lambda each: (_number(each), each.name))
-    return [_people(_loaded(file), file) for file in files]
+    people = [_people(_loaded(file), file) for file in files]
+    return _by_number([_number(file) for file in files], people)
+
+
+def _by_number(numbers: Sequence[int], people: Sequence[People]) -> tuple[int, list[People]]:
+    """Return the number of the first picture, and all pictures, with nobody in those that are left out.
+
+    Numbers that rise in steps count those steps; where some are the same, or few of so many, they are none.
+    """
+    step = math.gcd(*(number - numbers[0] for number in numbers)) if len(numbers) >= _SURE_STEPS else 1
+    count = (numbers[-1] - numbers[0]) // step + 1
+    if len(set(numbers)) < len(numbers) or numbers[0] < 0 or count > _MOST_MISSING * len(numbers):
+        return 0, list(people)
+    shown = dict(zip(numbers, people, strict=True))
+    return numbers[0] // step, [shown.get(numbers[0] + k * step, ()) for k in range(count)]
 
 
 def _number(path: Path) -> int:
@@ -75,16 +101,16 @@ def _loaded(path: Path) -> Any:
         raise FormatError(f"{path}: cannot be read as JSON: {error}") from error
 
 
-def _people(content: Any, file: Path) -> tuple[NDArray[np.float64], ...]:
+def _people(content: Any, file: Path) -> People:
     if not isinstance(content, dict) or not isinstance(content.get("people"), list):
         raise FormatError(f"{file}: no list 'people': files of OpenPose's kind have one")
     return tuple(_person(each, file) for each in content["people"])
 
 
-def _of_file(path: Path) -> list[tuple[NDArray[np.float64], ...]]:
+def _of_file(path: Path) -> tuple[int, list[People]]:
     content = _loaded(path)
     if isinstance(content, dict) and "people" in content:
-        return [_people(content, path)]
+        return 0, [_people(content, path)]
     entries = content.get("annotations") if isinstance(content, dict) else content
     if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
         raise FormatError(f"{path}: neither 'people' of OpenPose nor a list of COCO's results")
@@ -93,9 +119,8 @@ def _of_file(path: Path) -> list[tuple[NDArray[np.float64], ...]]:
         by_picture.setdefault(_picture_of(entry, path), []).append(_person(entry, path))
     if not by_picture:
         raise FormatError(f"{path}: an empty list")
-    # A picture in which nobody was found has no entry, but counts.
-    first, last = min(by_picture), max(by_picture)
-    return [tuple(by_picture.get(picture, ())) for picture in range(first, last + 1)]
+    numbers = sorted(by_picture)
+    return _by_number(numbers, [tuple(by_picture[number]) for number in numbers])
 
 
 def _picture_of(entry: dict[str, Any], path: Path) -> int:

@@ -1,7 +1,8 @@
 """Heat maps of cameras over MQTT as a link.
 
-One message on a topic is one heat-map message (``devices.cameras.heat_map_messages``), at QoS 0: an old
-picture is worth nothing. The link uses the broker of the gateway's own settings, and so its credentials.
+One message on a topic is one picture's heat-map messages (``devices.cameras.heat_map_messages``), at QoS 0:
+an old picture is worth nothing. Orders (``devices.cameras.orders``) go to ``ORDERS`` below each camera's
+topic. The link uses the broker of the gateway's own settings, and so its credentials.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from urllib.parse import unquote, urlsplit
 import aiomqtt
 
 from devices.arrivals import Arrivals
-from devices.cameras.heat_map_messages import is_one_message
+from devices.cameras.heat_map_messages import camera_of
 from devices.endpoints import EndpointError, link_from_url
 from devices.link import Chunk, Framing, Link, LinkError, gateway_time_ns
 from devices.link_counts import LinkCounts
@@ -23,10 +24,13 @@ from gateway.outputs.settings import MqttSettings
 from gateway.sources.link_settings import LinkSettings
 
 SCHEME = "mqtt"
+ORDERS = "orders"
+"""Below a camera's topic."""
+_MOST_CAMERAS = 64
 
 
 def link_of(link: LinkSettings, mqtt: MqttSettings, port: Callable[[], int]) -> Link:
-    """The link, not yet open, of a configuration. port: of the broker, once it is known. Raises
+    """Return the link, not yet open, of a configuration. port: of the broker, once it is known. Raises
     ``EndpointError``."""
     parts = urlsplit(link.url)
     if parts.scheme != SCHEME:
@@ -54,6 +58,9 @@ class BrokerLink:
         self._port = port
         self._arrivals = Arrivals.never_opened(name)
         self._task: asyncio.Task[None] | None = None
+        self._client: aiomqtt.Client | None = None
+        self._topics: set[str] = set()
+        """Of the cameras that were heard."""
 
     async def open(self) -> None:
         """Connect and subscribe. Raises ``LinkError`` with what is wrong with the broker."""
@@ -68,7 +75,15 @@ class BrokerLink:
         return self._arrivals
 
     async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
-        """Nothing: cameras take no commands."""
+        """Tell the cameras that were heard where people will be. Raises ``LinkError`` while there is no
+        broker."""
+        if self._client is None:
+            raise LinkError(f"{self.name}: there is no broker")
+        try:
+            for topic in sorted(self._topics)[:_MOST_CAMERAS]:
+                await self._client.publish(f"{topic}/{ORDERS}", data, qos=0)
+        except aiomqtt.MqttError as error:
+            raise LinkError(f"{self.name}: {error}") from error
 
     async def close(self) -> None:
         """Disconnect; iterating ends."""
@@ -82,16 +97,20 @@ class BrokerLink:
         try:
             async with broker_connection(self._settings, port, unique_identifier("cameras")) as client:
                 await client.subscribe(self.topic, 0)
+                self._client = client
                 subscribed.set_result(None)
                 async for message in client.messages:
                     self._take(arrivals, message)
         except Exception as error:
             arrivals.end(LinkError(explain(error, self._settings, port)))
+        finally:
+            self._client = None
 
     def _take(self, arrivals: Arrivals, message: aiomqtt.Message) -> None:
         """Pass on what is a picture of now: a retained one is not, and brokers may send other topics too."""
         payload = message.payload
         if not isinstance(payload, bytes) or message.retain or not message.topic.matches(self.topic):
             return
-        if is_one_message(payload):  # or it would take bytes of the next camera's along
+        if camera_of(payload) is not None:  # or it would take bytes of the next camera's along
+            self._topics.add(message.topic.value)
             arrivals.put(payload, gateway_time_ns())

@@ -10,12 +10,14 @@ from collections import deque
 
 import aiomqtt
 
+from gateway.cameras.broker_link import ORDERS
 from gateway.cameras.serving import Served
 from gateway.outputs.connection import (
     broker_back_off,
     broker_connection,
     end_tasks,
     explain,
+    first_to_end,
     unique_identifier,
 )
 from gateway.outputs.settings import MqttSettings
@@ -34,6 +36,7 @@ class BrokerOutlet:
         self._settings = settings
         self._topic = topic
         self._waiting: deque[bytes] = deque()
+        self._newest_line = b""
         self._arrival = asyncio.Event()
         self._idle = asyncio.Event()
         self._idle.set()
@@ -44,13 +47,18 @@ class BrokerOutlet:
         self._thread.start()
 
     def wait_for_first(self) -> None:
-        """Until the broker is reached."""
+        """Wait until the broker is reached."""
         self._is_connected.wait()
 
     def offer(self, message: bytes) -> None:
-        """To the broker, in the place of the oldest one that it was too slow for."""
+        """Hand messages to the broker, in the place of the oldest one that it was too slow for."""
         self.served.messages += 1
         self._loop.call_soon_threadsafe(self._add, message)
+
+    def newest_line(self) -> bytes:
+        """Return the last line of orders that came since this was asked; empty: none did."""
+        line, self._newest_line = self._newest_line, b""
+        return line
 
     def close(self) -> None:
         """Send what is waiting, as far as the broker takes it within five seconds, and disconnect."""
@@ -89,13 +97,19 @@ class BrokerOutlet:
                     self._is_connected.set()
                     last = ""
                     back_off.reset()
-                    await self._publish(client)
+                    await client.subscribe(f"{self._topic}/{ORDERS}", 0)
+                    await first_to_end(self._publish(client), self._listen(client))
             except Exception as error:
                 reason = explain(error, self._settings, self._settings.port)
                 if reason != last:
                     _log.warning("%s; trying again", reason)
                 last = reason
             await asyncio.sleep(back_off.next_delay())
+
+    async def _listen(self, client: aiomqtt.Client) -> None:
+        async for message in client.messages:
+            if isinstance(message.payload, bytes) and not message.retain:
+                self._newest_line = message.payload.strip()
 
     async def _publish(self, client: aiomqtt.Client) -> None:
         while True:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
@@ -28,8 +28,6 @@ from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video.networks.network import Picture, PoseNetwork, load_network
 from gateway.reconstruction.video.networks.person_detector import Person, PersonDetector
 
-MOST_PEOPLE = 4
-"""Of one picture that are considered, the likeliest ones."""
 _NOWHERE = np.zeros((2, 3))
 _PATIENCE_S = 120.0
 """For one picture: a heavy network on a busy machine takes seconds at the worst."""
@@ -54,7 +52,7 @@ class CameraProcess:
     """The parent's end of one camera, or of two whose pictures are put together."""
 
     def __init__(self, tasks: Sequence[CameraTask], most: int = 1) -> None:
-        """Starts the process. Nothing is waited for before the first question. most: people in the first
+        """Start the process. Nothing is waited for before the first question. most: people in the first
         picture that are looked for; 1: those that the detector finds at once."""
         self.tasks = tuple(tasks)
         self._name = " and ".join(f"'{task.name}'" for task in tasks)
@@ -68,12 +66,12 @@ class CameraProcess:
         self._has_ended = False
 
     def infos(self) -> list[PictureInfo]:
-        """What the opened sources say of themselves; the first question. Raises ``CameraError``."""
+        """Return what the opened sources say of themselves; the first question. Raises ``CameraError``."""
         infos: list[PictureInfo] = self._answer("opened")
         return infos
 
     def people(self) -> list[list[Person]]:
-        """Everybody in the first pictures, by camera; the second question. Raises ``CameraError``."""
+        """Return everybody in the first pictures, by camera; the second question. Raises ``CameraError``."""
         people: list[list[Person]] = self._answer("people")
         return people
 
@@ -86,7 +84,7 @@ class CameraProcess:
             self._pipe.send(orders)
 
     def messages(self) -> list[list[bytes]] | None:
-        """The heat maps of the next picture ordered, by camera, by person; None at the end. Raises
+        """Return the heat maps of the next picture ordered, by camera, by person; None at the end. Raises
         ``CameraError`` when the camera failed or its process has died."""
         return None if self._has_ended else self._answer("messages")
 
@@ -117,7 +115,7 @@ class CameraProcess:
 
 
 def _run(tasks: Sequence[CameraTask], most: int, pipe: Connection) -> None:
-    """The child."""
+    """Run the child."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends us
     with contextlib.suppress(ConnectionError, EOFError):  # the parent has gone
         try:
@@ -160,7 +158,7 @@ def _people(detector: PersonDetector, picture: Picture, most: int) -> list[Perso
 
 @contextlib.contextmanager
 def _naming(task: CameraTask) -> Iterator[None]:
-    """What goes wrong with a source is told with the camera's name."""
+    """Tell what goes wrong with a source with the camera's name."""
     try:
         yield
     except DeviceError as error:
@@ -181,7 +179,7 @@ def _looked_at(
     followers: Sequence[Sequence[PersonFollower]],
     orders: Sequence[Sequence[Order]],
 ) -> list[list[CameraHeatMaps | None]]:
-    """The maps of every camera and person; of somebody in two pictures both from one look."""
+    """Return the maps of every camera and person; of somebody in two pictures both from one look."""
     maps = [
         [None if o.joined is not None else f.heat_maps(picture, o) for f, o in zip(by, of, strict=True)]
         for picture, by, of in zip(pictures, followers, orders, strict=True)
@@ -206,18 +204,31 @@ def instant_of(task: CameraTask, info: PictureInfo, index: int, time_ns: int) ->
     return index - task.skip, time_ns - round(task.skip * 1e9 / info.rate_hz)
 
 
-def message_of(
-    follower: PersonFollower, picture: Picture, task: CameraTask, sequence: int, time_ns: int
+def messages_of(
+    people: Mapping[int, CameraHeatMaps | None], task: CameraTask, sequence: int, time_ns: int
 ) -> bytes:
-    """The heat maps of one picture as they go over the wire."""
-    return _message(task, follower.heat_maps(picture), sequence, time_ns)
+    """Return the heat maps of one picture as they go over the wire, by number of the person; of nobody,
+    too."""
+    shown = list(people.items()) or [(0, None)]
+    return b"".join(
+        _message(task, maps, sequence, time_ns, number, len(shown) - 1 - k)
+        for k, (number, maps) in enumerate(shown)
+    )
 
 
-def _message(task: CameraTask, maps: CameraHeatMaps | None, sequence: int, time_ns: int) -> bytes:
+def _message(
+    task: CameraTask,
+    maps: CameraHeatMaps | None,
+    sequence: int,
+    time_ns: int,
+    person: int = 0,
+    following: int = 0,
+) -> bytes:
     return encode_heat_maps(
         HeatMapMessage(
             task.name, task.network, sequence, time_ns,
             None if maps is None else quantised(maps.likelihood),
             _NOWHERE if maps is None else maps.map_from_pixel,
+            person, following,
         )
     )  # fmt: skip

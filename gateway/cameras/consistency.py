@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.cameras.heat_map_messages import HeatMapReceiver
+from devices.cameras.heat_map_messages import HeatMapReceiver, retimed
 from gateway.body.camera import Camera
 from gateway.cameras.synchronisation import signed_distances, synchronisation_of
 from gateway.errors import GatewayError
@@ -50,24 +50,27 @@ class Consistency:
         """Whether two cameras at least look at the same person."""
         return bool(self.apart) and min(self.apart.values()) <= FAR_APART
 
+    @property
+    def skipped(self) -> list[int]:
+        """By camera, the pictures at its start without which all are in step."""
+        earliest = min(0, *self.offsets.values()) if self.offsets else 0
+        return [self.offsets.get(name, 0) - earliest for name in self.names]
+
     def refuse_wrong(self, calibration: Path) -> None:
-        """Raises ``GatewayError`` for cameras that are not synchronised, or not those of the calibration."""
+        """Raise ``GatewayError`` for cameras that are not synchronised, or not those of the calibration."""
         if self.offsets:
             name = max(self.offsets, key=lambda each: abs(self.offsets[each]))
             rest = "".join(
                 f", '{each}' {_offset(n)} them" for each, n in self.offsets.items() if each != name
             )
-            earliest = min(0, *self.offsets.values())
             cure = " ".join(
-                f"--offset {each}={self.offsets.get(each, 0) - earliest}"
-                for each in self.names
-                if self.offsets.get(each, 0) != earliest
+                f"--offset {each}={late}" for each, late in zip(self.names, self.skipped, strict=True) if late
             )
             others = "the others" if len(self.names) > 2 else "the other"
             raise GatewayError(
                 f"the cameras are not synchronised: camera '{name}' is {_offset(self.offsets[name])} {others}"
                 f"{rest} (rays through one keypoint swing by {1e3 * self.unrest:.0f} mm, so shifted by "
-                f"{1e3 * self.unrest_shifted:.0f} mm): {cure}"
+                f"{1e3 * self.unrest_shifted:.0f} mm): {cure}, or --synchronise"
             )
         if self.apart and min(self.apart.values()) > FAR_APART:
             name, far = max(self.apart.items(), key=lambda item: item[1])
@@ -84,13 +87,25 @@ class Consistency:
             )
 
 
+def in_step(messages: Sequence[Sequence[bytes]], skipped: Sequence[int]) -> list[list[bytes]]:
+    """Return the instants that all cameras have once pictures are left out at their starts, numbered anew.
+
+    messages: of every instant, one a camera; skipped: pictures, by camera.
+    """
+    times_ns = [HeatMapReceiver().receive(instant[0])[0].time_ns for instant in messages]
+    n = len(messages) - max(skipped)
+    return [
+        [retimed(messages[t + late][c], t, times_ns[t]) for c, late in enumerate(skipped)] for t in range(n)
+    ]
+
+
 def _offset(offset: int) -> str:
     n = abs(offset)
     return f"{n} picture{'s' if n > 1 else ''} {'behind' if offset > 0 else 'ahead of'}"
 
 
 def consistency_of(cameras: Sequence[Camera], messages: Sequence[Sequence[bytes]]) -> Consistency:
-    """From the heat maps of a capture, a message a camera and instant."""
+    """Find how well cameras agree, from the heat maps of a capture, a message a camera and instant."""
     directions, likely = _rays(cameras, messages[:_MOST_INSTANTS])
     positions = np.stack([camera.position for camera in cameras])
     found = synchronisation_of(positions, directions, likely)
@@ -108,13 +123,13 @@ def consistency_of(cameras: Sequence[Camera], messages: Sequence[Sequence[bytes]
 
 
 def _of_most(names: Sequence[str], offsets: Sequence[int]) -> dict[str, int]:
-    """Offsets that are not 0 when those of most cameras (of as many: the first ones) are."""
+    """Return offsets that are not 0 when those of most cameras (of as many: the first ones) are."""
     usual = max(offsets, key=offsets.count)
     return {name: offset - usual for name, offset in zip(names, offsets, strict=True) if offset != usual}
 
 
 def _rays(cameras: Sequence[Camera], messages: Sequence[Sequence[bytes]]) -> tuple[FloatArray, FloatArray]:
-    """Directions (F, C, K, 3), NaN where nobody is seen, and likelihoods (F, C, K)."""
+    """Return directions (F, C, K, 3), NaN where nobody is seen, and likelihoods (F, C, K)."""
     models = [camera_model(camera) for camera in cameras]
     found: list[list[tuple[FloatArray, FloatArray] | None]] = []
     n_keypoints = 0
@@ -139,8 +154,9 @@ def _rays(cameras: Sequence[Camera], messages: Sequence[Sequence[bytes]]) -> tup
 def _apart(
     positions: FloatArray, directions: FloatArray, likely: FloatArray, offsets: Sequence[int]
 ) -> dict[int, float]:
-    """By camera, m: the lower median of its median distances to the others, so that one wrong camera does not
-    spoil the rest. offsets: pictures by which each is behind; a camera that sees nobody is left out."""
+    """Return by camera, m, the lower median of its median distances to the others, so that one wrong camera
+    does not spoil the rest. offsets: pictures by which each is behind; a camera that sees nobody is left out.
+    """
     n = len(directions) - max(offsets) + min(offsets)
     starts = [offset - min(offsets) for offset in offsets]
     found: dict[int, list[float]] = {}

@@ -26,8 +26,8 @@ def drawn_instants(
     every: int = 1,
     has_maps: bool = True,
 ) -> Iterator[Picture]:
-    """The pictures of all cameras in a row, ``height`` pixels high, with what the recording has of them; the
-    first bears the recording's name and the number of the picture.
+    """Yield the pictures of all cameras in a row, ``height`` pixels high, with what the recording has of
+    them; the first bears the recording's name and the number of the picture.
 
     pictures: of every instant, in the order of the cameras.
     """

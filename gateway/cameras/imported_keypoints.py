@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
-from devices.cameras.keypoint_files import PictureKeypoints
-from gateway.body.camera import Camera
-from gateway.cameras.rig_of_cameras import people_in_common
+from devices.cameras.keypoint_files import People, PictureKeypoints
+from gateway.body.camera import Camera, project
+from gateway.cameras.people_matching import meeting_point, people_in_common
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
@@ -22,8 +22,10 @@ _NOWHERE = np.zeros((2, 3))
 _FIRST_PICTURES = 60
 """In which the people are looked for: the first that shows somebody to two cameras counts."""
 
-Seen = list[tuple[Person, FloatArray]]
-"""Everybody in one picture, with keypoints (n, 3)."""
+Shown = tuple[Person, FloatArray]
+"""Somebody in one picture, with keypoints (n, 3)."""
+Seen = list[Shown]
+"""Everybody in one picture."""
 
 
 def keypoint_messages(
@@ -33,7 +35,7 @@ def keypoint_messages(
     rate_hz: float,
     wanted: int | None,
 ) -> tuple[str, list[list[list[bytes]]]]:
-    """The keypoints' set, and by person, of every instant, a message a camera.
+    """Return the keypoints' set, and by person, of every instant, a message a camera.
 
     skipped: pictures left out at the start, by camera. wanted: how many people; None: all that two cameras
     see. Raises ``GatewayError``, and ``CameraError`` for fewer than are wanted.
@@ -45,17 +47,14 @@ def keypoint_messages(
     keypoint_set, layout = layout_of(counts.pop(), str(pictures[0].path))
     names = load_keypoint_set(keypoint_set).names
     seen = [
-        [_everybody(people, layout, names) for people in each.people[skipped.get(camera.name, 0) :]]
-        for camera, each in zip(cameras, pictures, strict=True)
+        [_everybody(people, layout, names) for people in each[skipped.get(camera.name, 0) :]]
+        for camera, each in zip(cameras, _in_step(pictures), strict=True)
     ]
     count = min(map(len, seen))
     if count == 0:
         raise GatewayError("after --offset no picture is left that all cameras have")
     first, begun = _beginning(cameras, seen, count, wanted)
-    by_camera = [
-        _followed(of_camera[:count], first, [hips[c] for hips in begun]) for c, of_camera in enumerate(seen)
-    ]
-    followed = [[of_camera[k] for of_camera in by_camera] for k in range(len(begun))]
+    followed = _followed(cameras, [of_camera[:count] for of_camera in seen], first, begun)
     messages = [
         [
             [
@@ -67,6 +66,21 @@ def keypoint_messages(
         for person in followed
     ]
     return keypoint_set, messages
+
+
+def _in_step(pictures: Sequence[PictureKeypoints]) -> list[tuple[People, ...]]:
+    """Return who is in the pictures of all cameras from the same number to the same, where their numbers
+    overlap: a camera that sees nobody in the first or the last ones may have no file of these."""
+    first, last = (
+        min(each.first for each in pictures),
+        max(each.first + len(each.people) for each in pictures),
+    )
+    if max(each.first for each in pictures) >= min(each.first + len(each.people) for each in pictures):
+        return [each.people for each in pictures]
+    return [
+        ((),) * (each.first - first) + each.people + ((),) * (last - each.first - len(each.people))
+        for each in pictures
+    ]
 
 
 def _everybody(people: Sequence[FloatArray], layout: tuple[str, ...], names: tuple[str, ...]) -> Seen:
@@ -81,7 +95,8 @@ def _everybody(people: Sequence[FloatArray], layout: tuple[str, ...], names: tup
 def _beginning(
     cameras: Sequence[Camera], seen: Sequence[Sequence[Seen]], count: int, wanted: int | None
 ) -> tuple[int, list[list[FloatArray | None]]]:
-    """The picture in which people are first seen, and by person their hips in every camera; None: unseen."""
+    """Return the picture in which people are first seen, and by person their hips in every camera; None:
+    unseen."""
     for index in range(min(count, _FIRST_PICTURES)):
         people = [[person for person, _ in of_camera[index]] for of_camera in seen]
         if sum(map(bool, people)) < min(2, len(cameras)):
@@ -94,27 +109,74 @@ def _beginning(
 
 
 def _followed(
-    of_camera: Sequence[Seen], first: int, hips: Sequence[FloatArray | None]
-) -> list[list[FloatArray | None]]:
-    """By person, the keypoints in every picture of a camera, from where the hips are in picture ``first``;
-    None where nobody is near, or somebody else is nearer to who is."""
-    last = list(hips)
-    found: list[list[FloatArray | None]] = [[None] * len(of_camera) for _ in hips]
-    for index, people in enumerate(of_camera):
-        if index < first:
-            continue
-        pairs = sorted(
-            (float(np.linalg.norm(person.hips - at)) / max(person.radius, 1.0), k, n)
-            for k, at in enumerate(last)
-            if at is not None
-            for n, (person, _) in enumerate(people)
-        )
-        taken: set[int] = set()
-        for away, k, n in pairs:
-            if away <= _FARTHEST and n not in taken and found[k][index] is None:
-                taken.add(n)
-                last[k], found[k][index] = people[n][0].hips, people[n][1]
+    cameras: Sequence[Camera],
+    seen: Sequence[Sequence[Seen]],
+    first: int,
+    begun: Sequence[Sequence[FloatArray | None]],
+) -> list[list[list[FloatArray | None]]]:
+    """Return by person and camera the keypoints in every picture, from where the hips are in picture
+    ``first`` (begun: by person and camera); None where nobody is near, or somebody else is nearer to who is.
+
+    Into a camera that has lost somebody, or has never seen them, those lead who see them.
+    """
+    last = [list(each) for each in begun]
+    found: list[list[list[FloatArray | None]]] = [
+        [[None] * len(of_camera) for of_camera in seen] for _ in begun
+    ]
+    for index in range(first, len(seen[0])):
+        shown = [of_camera[index] for of_camera in seen]
+        now = _seen_near(shown, last, {})
+        hips = [
+            [now[k, c][0].hips if (k, c) in now else None for c in range(len(seen))] for k in range(len(last))
+        ]
+        now |= _seen_near(shown, [_led(cameras, each) for each in hips], now)
+        for (k, c), (person, points) in now.items():
+            last[k][c], found[k][c][index] = person.hips, points
     return found
+
+
+def _seen_near(
+    shown: Sequence[Seen], hips: Sequence[Sequence[FloatArray | None]], known: Mapping[tuple[int, int], Shown]
+) -> dict[tuple[int, int], Shown]:
+    """Return by person and camera who is where hips are expected (by person and camera).
+
+    shown: everybody in the picture of each camera; known: who is found already.
+    """
+    found = {}
+    for c, people in enumerate(shown):
+        taken = [id(each) for (_, camera), (each, _) in known.items() if camera == c]
+        left = [each for each in people if id(each[0]) not in taken]
+        expected = [None if (k, c) in known else at[c] for k, at in enumerate(hips)]
+        found.update({(k, c): left[n] for k, n in _nearest(left, expected)})
+    return found
+
+
+def _nearest(people: Seen, hips: Sequence[FloatArray | None]) -> Iterator[tuple[int, int]]:
+    """Yield who is where hips are expected, and the row of the one in the picture: the nearest first, each
+    once."""
+    pairs = sorted(
+        (float(np.linalg.norm(person.hips - at)) / max(person.radius, 1.0), k, n)
+        for k, at in enumerate(hips)
+        if at is not None
+        for n, (person, _) in enumerate(people)
+    )
+    done: set[int] = set()
+    used: set[int] = set()
+    for away, k, n in pairs:
+        if away <= _FARTHEST and k not in done and n not in used:
+            done.add(k)
+            used.add(n)
+            yield k, n
+
+
+def _led(cameras: Sequence[Camera], hips: Sequence[FloatArray | None]) -> list[FloatArray | None]:
+    """Return where each camera should see hips that two or more of them see at those pixels."""
+    seeing = [(camera, at) for camera, at in zip(cameras, hips, strict=True) if at is not None]
+    if len(seeing) < 2:
+        return [None] * len(cameras)
+    point = meeting_point([camera for camera, _ in seeing], [at for _, at in seeing])
+    pixels = [project(camera, point) for camera in cameras]
+    return [pixel if np.isfinite(pixel).all() else None for pixel in pixels]
 
 
 def _message(

@@ -21,7 +21,7 @@ _THICKNESS = 1 / 300
 
 
 def draw_heat_maps(picture: Picture, maps: CameraHeatMaps) -> Picture:
-    """The picture with the likeliest keypoint's likelihood at each place laid over it."""
+    """Return the picture with the likeliest keypoint's likelihood at each place laid over it."""
     height, width = picture.shape[:2]
     highest = maps.likelihood.max(axis=0)
     spread = cv2.warpAffine(
@@ -34,7 +34,7 @@ def draw_heat_maps(picture: Picture, maps: CameraHeatMaps) -> Picture:
 
 
 def draw_skeleton(picture: Picture, camera: Camera, skeleton: Skeleton, frame: SkeletonFrame) -> None:
-    """Every segment as a line from its proximal joint to its tip, onto the picture. Thin: predicted."""
+    """Draw every segment as a line from its proximal joint to its tip onto the picture. Thin: predicted."""
     ends = segment_ends(skeleton, frame)
     pixels = project(camera, ends)
     thick = max(round(_THICKNESS * picture.shape[0]), 1)
@@ -49,7 +49,7 @@ def draw_skeleton(picture: Picture, camera: Camera, skeleton: Skeleton, frame: S
 
 
 def segment_ends(skeleton: Skeleton, frame: SkeletonFrame) -> FloatArray:
-    """(n_segments, 2, 3) m: proximal joint and tip of every segment."""
+    """Return (n_segments, 2, 3) m: proximal joint and tip of every segment."""
     tips = [
         p + quaternion.rotate(q, tip) for p, q, tip in zip(frame.p_w, frame.q_wb, skeleton.tips, strict=True)
     ]
@@ -57,7 +57,7 @@ def segment_ends(skeleton: Skeleton, frame: SkeletonFrame) -> FloatArray:
 
 
 def side_by_side(pictures: Sequence[Picture], names: Sequence[str], height: int) -> Picture:
-    """Pictures of several cameras in a row, each with its name, all ``height`` pixels high."""
+    """Return pictures of several cameras in a row, each with its name, all ``height`` pixels high."""
     row = []
     for picture, name in zip(pictures, names, strict=True):
         width = max(round(picture.shape[1] * height / picture.shape[0]), 1)

@@ -36,7 +36,8 @@ class PersonFollower:
         self._last: PersonRegion | None = None
 
     def heat_maps(self, picture: Picture, order: Order | None = None) -> CameraHeatMaps | None:
-        """Of the person; None when nobody is seen. One who was lost is looked for where they were last."""
+        """Return the maps of the person; None when nobody is seen. One who was lost is looked for where they
+        were last."""
         if order is not None and order.is_ordered:
             self._region = order.region
             if order.region is None:

@@ -3,35 +3,23 @@ followed."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self, TypeVar
 
-import numpy as np
-
 from devices.cameras.pictures import CameraError, PictureInfo
-from gateway.body.camera import Camera, project
-from gateway.cameras.camera_process import MOST_PEOPLE, CameraProcess, CameraTask
+from gateway.body.camera import Camera
+from gateway.cameras.camera_process import CameraProcess, CameraTask
+from gateway.cameras.people_matching import people_in_common
 from gateway.cameras.person_follower import Order
 from gateway.cameras.steering import AHEAD, Orders, Steering
-from gateway.frames import FloatArray
-from gateway.reconstruction.video.initial import nearest_to_rays
 from gateway.reconstruction.video.keypoint_set import KeypointSet
-from gateway.reconstruction.video.networks.person_detector import Person
-from gateway.reconstruction.video.projection import camera_model, ray
-from gateway.reconstruction.video.region import PersonRegion
+from gateway.reconstruction.video.networks.person_detector import MOST_PEOPLE
 
 T = TypeVar("T")
 _RATES_DIFFER = 0.002
 _COUNTS_DIFFER = 2
 """Pictures by which synchronised files may differ in length."""
-_ABSENT_COST = 0.15
-"""Of a camera that is taken not to show the person, as a share of the person's size in pictures."""
-
-
-_MOST_UNEQUAL = 1.6
-"""Largest over smallest of the sizes that cameras show one person in: 1.0 to 1.35 where it is one."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +44,8 @@ class CameraRig:
         keypoints: KeypointSet,
         options: RigOptions | None = None,
     ) -> None:
-        """cameras: calibrated, for the pictures as they are; tasks: in the same order; keypoints: of the
-        network."""
+        """Start a process for each camera. cameras: calibrated, for the pictures as they are; tasks: in the
+        same order; keypoints: of the network."""
         self._cameras, self._tasks, self._keypoints = cameras, tasks, keypoints
         self._options = options or RigOptions()
         paired = {row for pair in self._options.joined for row in pair}
@@ -84,7 +72,7 @@ class CameraRig:
         self.close()
 
     def __iter__(self) -> Iterator[list[list[bytes]]]:
-        """The messages of every instant, by person, in the order of the cameras, until the first camera
+        """Yield the messages of every instant, by person, in the order of the cameras, until the first camera
         ends."""
         self._order(self._first)
         unknown = [[Order() for _ in range(self.n_people)] for _ in self._cameras]
@@ -97,7 +85,7 @@ class CameraRig:
 
     @property
     def same_as(self) -> Mapping[int, int]:
-        """People who turned out to be an earlier one, with that one."""
+        """People who turned out to be another one, with that one."""
         return self._steering.same_as
 
     def close(self) -> None:
@@ -126,7 +114,7 @@ class CameraRig:
             process.order([orders[row] for row in rows])
 
     def _messages(self) -> list[list[bytes]] | None:
-        """By person, by camera; None at the end."""
+        """Return the next messages, by person and camera; None at the end."""
         answers = [process.messages() for process in self._processes]
         whole = [answer for answer in answers if answer is not None]
         if len(whole) < len(answers):
@@ -134,7 +122,7 @@ class CameraRig:
         return [list(each) for each in zip(*self._by_camera(whole), strict=True)]
 
     def _by_camera(self, answers: Sequence[Sequence[T]]) -> list[T]:
-        """Answers of processes as one list in the order of the cameras."""
+        """Return answers of processes as one list in the order of the cameras."""
         found = {
             row: each
             for rows, answer in zip(self._rows, answers, strict=True)
@@ -144,7 +132,7 @@ class CameraRig:
 
 
 def check_agreement(infos: Sequence[PictureInfo], tasks: Sequence[CameraTask]) -> None:
-    """Raises ``CameraError`` where rates or lengths show that the sources were not taken together."""
+    """Raise ``CameraError`` where rates or lengths show that the sources were not taken together."""
     first = infos[0]
     for info, task in zip(infos, tasks, strict=True):
         if abs(info.rate_hz - first.rate_hz) > _RATES_DIFFER * first.rate_hz:
@@ -160,90 +148,3 @@ def check_agreement(infos: Sequence[PictureInfo], tasks: Sequence[CameraTask]) -
             f"the cameras have different numbers of pictures ({told}): cut the files to the same instants, "
             "give --offset CAMERA=PICTURES, or take the common ones with --unequal"
         )
-
-
-def people_in_common(
-    cameras: Sequence[Camera], people: Sequence[Sequence[Person]], wanted: int | None
-) -> list[list[PersonRegion | None]]:
-    """By person, by camera: the regions of the ``wanted`` people of a first picture whose hips and shoulders
-    meet in the world, those whom most cameras agree upon first; None: everybody.
-
-    None in the place of a region: the camera does not show the person. One person is always given, though it
-    be nobody. Raises ``CameraError`` when there are fewer than are wanted.
-    """
-    left = [list(each) for each in people]
-    found: list[list[PersonRegion | None]] = []
-    while wanted is None or len(found) < wanted:
-        chosen = _closest_person(cameras, left, surely=bool(found))
-        if chosen is None:
-            break
-        found.append([None if person is None else person.region for person in chosen])
-        left = [
-            [person for person in each if person is not taken]
-            for each, taken in zip(left, chosen, strict=True)
-        ]
-    if wanted is not None and 1 < wanted != len(found):
-        raise CameraError(
-            f"--people {wanted}: {len(found)} seen by two cameras or more in the first pictures; begin "
-            "where all of them are in sight (--offset), or take --people all"
-        )
-    return found or [[None] * len(cameras)]
-
-
-def _closest_person(
-    cameras: Sequence[Camera], people: Sequence[Sequence[Person]], *, surely: bool
-) -> tuple[Person | None, ...] | None:
-    """Of each camera's people those that are one person; None where two cameras agree upon nobody.
-
-    surely: whether that the rays pass each other like those of two people leaves nobody, too.
-    """
-    options: list[list[Person | None]] = [[*each[:MOST_PEOPLE], None] for each in people]
-    best: tuple[float, tuple[Person | None, ...]] | None = None
-    for chosen in itertools.product(*options):
-        n_seeing = sum(person is not None for person in chosen)
-        if n_seeing < min(2, len(cameras)):
-            continue
-        cost = _disagreement(cameras, chosen)
-        agreed = cost - _ABSENT_COST * (len(chosen) - n_seeing) < _ABSENT_COST * n_seeing
-        if surely and not (agreed and _is_of_one_size(cameras, chosen)):
-            continue
-        if best is None or cost < best[0]:
-            best = cost, chosen
-    return None if best is None else best[1]
-
-
-def _is_of_one_size(cameras: Sequence[Camera], chosen: Sequence[Person | None]) -> bool:
-    """Whether what each camera shows is as large as what the others do, where their rays meet."""
-    seeing = [(c, p) for c, p in zip(cameras, chosen, strict=True) if p is not None]
-    hips = _meeting([camera for camera, _ in seeing], [person.hips for _, person in seeing])
-    sizes = [
-        person.radius * float(camera.rotation[2] @ hips + camera.translation[2]) / float(camera.matrix[0, 0])
-        for camera, person in seeing
-    ]
-    return min(sizes) > 0 and max(sizes) <= _MOST_UNEQUAL * min(sizes)
-
-
-def _disagreement(cameras: Sequence[Camera], chosen: Sequence[Person | None]) -> float:
-    """How far hips and shoulders are from where all rays together put them, in sizes of the person.
-
-    Summed over the cameras; one without the person has a set cost.
-    """
-    seeing = [(c, p) for c, p in zip(cameras, chosen, strict=True) if p is not None]
-    cost = _ABSENT_COST * (len(chosen) - len(seeing))
-    if len(seeing) < 2:
-        return cost
-    for part in ("hips", "shoulders"):
-        pixels = [getattr(person, part) for _, person in seeing]
-        point = _meeting([camera for camera, _ in seeing], pixels)
-        for (camera, person), pixel in zip(seeing, pixels, strict=True):
-            off = float(np.linalg.norm(project(camera, point) - pixel)) / person.radius
-            cost += 0.5 * (off if np.isfinite(off) else 10.0)
-    return cost
-
-
-def _meeting(cameras: Sequence[Camera], pixels: Sequence[FloatArray]) -> FloatArray:
-    """The point (3,) m, nearest to the rays through one pixel a camera."""
-    models = [camera_model(camera) for camera in cameras]
-    directions = np.stack([ray(model, *pixel) for model, pixel in zip(models, pixels, strict=True)])
-    positions = np.stack([model.position for model in models])
-    return nearest_to_rays(positions, directions, np.ones(len(models)))

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Protocol
 
 from devices.cameras.heat_map_messages import HeatMapReceiver, encode_heat_maps
-from devices.cameras.pictures import CameraError, open_pictures
-from gateway.cameras.camera_process import CameraTask, instant_of, message_of
-from gateway.cameras.person_follower import PersonFollower
+from devices.cameras.orders import LONGEST, CameraOrders, read_orders
+from devices.cameras.pictures import CameraError, Picture, open_pictures
+from gateway.cameras.camera_process import CameraTask, instant_of, messages_of
+from gateway.cameras.people_follower import PeopleFollower
 from gateway.reconstruction.video.networks.network import load_network
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
 from gateway.recording.reading import open_recording
@@ -40,6 +41,8 @@ class Served:
 class _Receiver:
     connection: socket.socket
     waiting: bytearray = field(default_factory=bytearray)
+    told: bytearray = field(default_factory=bytearray)
+    """The beginning of a line of orders."""
 
 
 class Sink(Protocol):
@@ -48,22 +51,26 @@ class Sink(Protocol):
     served: Served
 
     def wait_for_first(self) -> None:
-        """Until there is somebody to take them."""
+        """Wait until there is somebody to take them."""
 
     def offer(self, message: bytes) -> None:
-        """Hand over one message; it never waits."""
+        """Hand over the messages of one picture; it never waits."""
+
+    def newest_line(self) -> bytes:
+        """Return the last line of orders that came since this was asked; empty: none did."""
 
     def close(self) -> None:
         """Hand over what is waiting, and end."""
 
 
-def serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None = None) -> None:
-    """Until the camera ends, or Ctrl-C. Raises ``CameraError``.
+def serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None = None, people: int = 1) -> None:
+    """Serve a camera until it ends, or Ctrl-C. Raises ``CameraError``.
 
-    begin_s: when a file begins, seconds since the epoch; None: when there is somebody to take it.
+    begin_s: when a file begins, seconds since the epoch; None: when there is somebody to take it. people:
+    that are followed at once.
     """
     is_recorded = Path(task.place).suffix == RECORDING
-    source = _Recorded(task) if is_recorded else _LookedAt(task)
+    source = _Recorded(task) if is_recorded else _LookedAt(task, people)
     with contextlib.closing(source), contextlib.closing(sink), contextlib.suppress(KeyboardInterrupt):
         if begin_s is not None:
             time.sleep(max(0.0, begin_s - time.time()))
@@ -73,24 +80,30 @@ def serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None = No
         for time_ns, message in source:
             if not source.is_live and speed > 0:
                 time.sleep(max(0.0, begun + time_ns * 1e-9 / speed - time.monotonic()))
+            if orders := read_orders(sink.newest_line(), task.name):
+                source.take(orders)
             sink.offer(message())
 
 
 class _LookedAt:
     """Pictures of a camera through the network."""
 
-    def __init__(self, task: CameraTask) -> None:
+    def __init__(self, task: CameraTask, people: int) -> None:
         self._task = task
         self._source = open_pictures(task.place, task.rate_hz)
-        self._follower = PersonFollower(load_network(task.network), PersonDetector())
+        self._follower = PeopleFollower(load_network(task.network), PersonDetector(), people)
+        self.take = self._follower.take
         self.is_live = self._source.info.count is None
         self.close = self._source.close
 
     def __iter__(self) -> Iterator[tuple[int, Callable[[], bytes]]]:
-        """When, ns after the first one, and what makes the message then."""
+        """Yield when, ns after the first one, and what makes the messages then."""
         for index, (time_ns, picture) in enumerate(self._source):
             instant = instant_of(self._task, self._source.info, index, time_ns)
-            yield time_ns, partial(message_of, self._follower, picture, self._task, *instant)
+            yield time_ns, partial(self._messages, picture, *instant)
+
+    def _messages(self, picture: Picture, sequence: int, time_ns: int) -> bytes:
+        return messages_of(self._follower.heat_maps(picture), self._task, sequence, time_ns)
 
 
 class _Recorded:
@@ -107,11 +120,14 @@ class _Recorded:
             known = ", ".join(sorted({each.camera for each in every})) or "none"
             raise CameraError(f"{task.place} has no camera '{task.name}' (its cameras: {known})")
 
+    def take(self, orders: CameraOrders) -> None:
+        """Do nothing: whom it shows was decided when it was made."""
+
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""
 
     def __iter__(self) -> Iterator[tuple[int, Callable[[], bytes]]]:
-        """When, ns after the first one, and the message."""
+        """Yield when, ns after the first one, and the message."""
         first = self._messages[0].time_ns
         for each in self._messages:
             yield each.time_ns - first, partial(encode_heat_maps, each)
@@ -119,7 +135,7 @@ class _Recorded:
 
 @contextlib.contextmanager
 def listening(host: str, port: int) -> Iterator[socket.socket]:
-    """A TCP port. Raises ``CameraError`` where it cannot be had."""
+    """Listen on a TCP port. Raises ``CameraError`` where it cannot be had."""
     try:
         listener = socket.create_server((host, port))
     except OSError as error:
@@ -138,7 +154,7 @@ class Outlet:
         self.served = Served()
 
     def wait_for_first(self) -> None:
-        """Until somebody has connected."""
+        """Wait until somebody has connected."""
         with selectors.DefaultSelector() as selector:
             selector.register(self._listener, selectors.EVENT_READ)
             while not self._receivers:
@@ -146,7 +162,7 @@ class Outlet:
                 self._welcome()
 
     def offer(self, message: bytes) -> None:
-        """To every receiver, unless it is too far behind."""
+        """Hand messages to every receiver, unless it is too far behind."""
         self._welcome()
         self.served.messages += 1
         for receiver in self._receivers:
@@ -156,6 +172,12 @@ class Outlet:
                 receiver.waiting += message
                 self.served.sent += 1
         self._receivers = [receiver for receiver in self._receivers if _pushed(receiver)]
+
+    def newest_line(self) -> bytes:
+        """Return the last line that came since this was asked, of whoever is connected the longest and tells
+        any."""
+        lines = [line for receiver in self._receivers if (line := _last_line(receiver))]
+        return lines[0] if lines else b""
 
     def close(self) -> None:
         """Send what is waiting, and hang up."""
@@ -175,8 +197,19 @@ class Outlet:
                 self._receivers.append(_Receiver(connection))
 
 
+def _last_line(receiver: _Receiver) -> bytes:
+    """Return the last whole line of what a receiver has sent; what is no line is thrown away."""
+    with contextlib.suppress(OSError):
+        while data := receiver.connection.recv(1 << 16):
+            receiver.told += data
+            del receiver.told[: -2 * LONGEST]
+    whole, separator, rest = bytes(receiver.told).rpartition(b"\n")
+    receiver.told[:] = rest
+    return whole.rpartition(b"\n")[2] if separator else b""
+
+
 def _pushed(receiver: _Receiver) -> bool:
-    """As much as the connection takes at once; False: it is gone."""
+    """Send as much as the connection takes at once; False: it is gone."""
     try:
         taken = receiver.connection.send(receiver.waiting) if receiver.waiting else 0
     except BlockingIOError:

@@ -36,7 +36,8 @@ class Steering:
         n_people: int,
         joined: Sequence[tuple[int, int]] = (),
     ) -> None:
-        """joined: pairs of cameras whose pictures may be put together where a person is in both."""
+        """Begin at the first picture. joined: pairs of cameras whose pictures may be put together where a
+        person is in both."""
         self._cameras = cameras
         self._names = keypoints.names
         self._crowd = VideoCrowd(cameras, keypoints, n_people)
@@ -44,7 +45,7 @@ class Steering:
         self._taken = 0
 
     def take(self, messages: Sequence[Sequence[bytes]]) -> list[list[bytes]]:
-        """One instant of messages by person, by camera: returned with the other people masked, and left and
+        """Return one instant of messages, by person and camera, with the other people masked, and left and
         right as the body has them."""
         frames = [heat_map_frame(self._taken, each) for each in messages]
         masked = self._crowd.masked(frames)
@@ -54,11 +55,11 @@ class Steering:
 
     @property
     def same_as(self) -> Mapping[int, int]:
-        """People who turned out to be an earlier one, with that one; no camera looks for them any more."""
+        """People who turned out to be another one, with that one; no camera looks for them any more."""
         return self._crowd.same_as
 
     def orders(self) -> Orders:
-        """For the picture ``AHEAD`` of the last instant taken."""
+        """Return orders for the picture ``AHEAD`` of the last instant taken."""
         by_person = [
             [Order(True, None) for _ in self._cameras]
             if index in self.same_as
@@ -84,7 +85,7 @@ class Steering:
 
 
 def _encoded(messages: Sequence[bytes], before: HeatMapFrame, after: HeatMapFrame) -> list[bytes]:
-    """The messages, where the maps are others than before with these in the place of their own."""
+    """Return the messages, where the maps are others than before with these in the place of their own."""
     encoded = []
     for message, was, maps in zip(messages, before.cameras, after.cameras, strict=True):
         if maps is None or maps is was:

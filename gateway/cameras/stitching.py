@@ -28,14 +28,14 @@ _FEWEST = 6
 
 
 def in_picture(camera: Camera, pixels: FloatArray) -> NDArray[np.bool_]:
-    """(n,) whether pixels (n, 2) lie in the camera's picture; NaN does not."""
+    """Return (n,) whether pixels (n, 2) lie in the camera's picture; NaN does not."""
     with np.errstate(invalid="ignore"):
         inside = (pixels >= 0) & (pixels <= (camera.width - 1, camera.height - 1))
     return np.asarray(inside.all(axis=1), dtype=np.bool_)
 
 
 def joining(first: Camera, second: Camera, keypoints: FloatArray) -> FloatArray | None:
-    """(2, 3) pixel of the second camera to pixel of the first, about a person with keypoints (n, 3) m.
+    """Return (2, 3) pixel of the second camera to pixel of the first, about a person with keypoints (n, 3) m.
 
     None where the first sees all of the person, or the second adds too little.
     """
@@ -54,7 +54,7 @@ def joining(first: Camera, second: Camera, keypoints: FloatArray) -> FloatArray 
 def joined_heat_maps(
     network: PoseNetwork, first: Picture, second: Picture, region: PersonRegion, joined: FloatArray
 ) -> tuple[CameraHeatMaps, CameraHeatMaps]:
-    """The maps of a person for the first and for the second camera.
+    """Return the maps of a person for the first and for the second camera.
 
     region: in the first picture's pixels, beyond its border too. joined: (2, 3) of ``joining``.
     """
@@ -71,7 +71,8 @@ def joined_heat_maps(
 
 
 def _canvas(first: Picture, second: Picture, joined: FloatArray, corner: FloatArray, side: int) -> Picture:
-    """A square of the first picture's pixels from ``corner`` on: the first over the second over black."""
+    """Return a square of the first picture's pixels from ``corner`` on: the first over the second over
+    black."""
     moved = joined.copy()
     moved[:, 2] -= corner
     canvas = np.asarray(cv2.warpAffine(second, moved, (side, side), flags=cv2.INTER_LINEAR), dtype=np.uint8)
@@ -85,7 +86,7 @@ def _canvas(first: Picture, second: Picture, joined: FloatArray, corner: FloatAr
 
 
 def _cells_of(picture: Picture, to_map: FloatArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """(rows, columns) cells of a map that lie in a picture."""
+    """Return (rows, columns) cells of a map that lie in a picture."""
     rows, columns = np.indices(shape).reshape(2, -1)
     pixels = np.linalg.solve(to_map[:, :2], np.stack([columns, rows]) - to_map[:, 2:]).T
     height, width = picture.shape[:2]
@@ -94,5 +95,5 @@ def _cells_of(picture: Picture, to_map: FloatArray, shape: tuple[int, ...]) -> N
 
 
 def _after(second: FloatArray, first: FloatArray) -> FloatArray:
-    """(2, 3): the affine map ``first``, then ``second``."""
+    """Return (2, 3): the affine map ``first``, then ``second``."""
     return np.column_stack([second[:, :2] @ first[:, :2], second[:, :2] @ first[:, 2] + second[:, 2]])

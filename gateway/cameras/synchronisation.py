@@ -46,7 +46,8 @@ class Synchronisation:
 
 
 def synchronisation_of(positions: FloatArray, directions: FloatArray, likely: FloatArray) -> Synchronisation:
-    """Of cameras at positions (C, 3) m with rays (F, C, K, 3) through keypoints of likelihood (F, C, K)."""
+    """Find how cameras are in step, which stand at positions (C, 3) m with rays (F, C, K, 3) through
+    keypoints of likelihood (F, C, K)."""
     n = len(positions)
     whole = _unrest(positions, directions, likely)
     offsets = _best(whole, n)
@@ -72,7 +73,7 @@ def _unrest(positions: FloatArray, directions: FloatArray, likely: FloatArray) -
 
 
 def _of_pair(between: FloatArray, rays: FloatArray, likely: FloatArray) -> FloatArray:
-    """(2 n + 1,) of two cameras ``between`` (3,) apart; rays: (F, 2, K, 3); likely: (F, 2, K)."""
+    """Return (2 n + 1,) m of two cameras ``between`` (3,) apart; rays: (F, 2, K, 3); likely: (F, 2, K)."""
     curve = np.full(2 * _LONGEST + 1, np.nan)
     n = len(rays)
     longest = min(_LONGEST, n // 3)
@@ -92,8 +93,8 @@ def _of_pair(between: FloatArray, rays: FloatArray, likely: FloatArray) -> Float
 def signed_distances(
     between: FloatArray, first: FloatArray, second: FloatArray, likely: FloatArray
 ) -> FloatArray:
-    """(F, K) m by which rays (F, K, 3) of two cameras ``between`` (3,) apart pass each other; the sign tells
-    on which side. NaN where they are nearly parallel, or not likely (F, K)."""
+    """Return (F, K) m by which rays (F, K, 3) of two cameras ``between`` (3,) apart pass each other; the sign
+    tells on which side. NaN where they are nearly parallel, or not likely (F, K)."""
     common = np.cross(first, second)
     sine = np.linalg.norm(common, axis=-1)
     sure = (likely > _LEAST_LIKELIHOOD) & (sine > _PARALLEL)
@@ -101,7 +102,7 @@ def signed_distances(
 
 
 def _best(unrest: Unrest, n: int) -> list[int]:
-    """Pictures by which each camera is behind the first, where all pairs together are calmest."""
+    """Return pictures by which each camera is behind the first, where all pairs together are calmest."""
     starts = [[0] * n]
     for reference in range(n):
         offsets = [_best_of_pair(unrest, reference, c) for c in range(n)]
@@ -120,7 +121,7 @@ def _best_of_pair(unrest: Unrest, a: int, b: int) -> int:
 
 
 def _descended(unrest: Unrest, start: list[int]) -> list[int]:
-    """One camera after the other is shifted to where all agree best."""
+    """Shift one camera after the other to where all agree best."""
     offsets = list(start)
     for _ in range(3):
         for c in range(1, len(offsets)):
@@ -138,6 +139,6 @@ def _total(unrest: Unrest, offsets: Sequence[int]) -> float:
 
 
 def _at(curve: FloatArray, offset: int) -> float:
-    """Of a curve over offsets; infinite beyond its ends, and where too little is seen."""
+    """Return the value of a curve over offsets; infinite beyond its ends, and where too little is seen."""
     value = float(curve[offset + _LONGEST]) if abs(offset) <= _LONGEST else np.nan
     return np.inf if np.isnan(value) else value

@@ -17,11 +17,12 @@ from devices.cameras.pictures import open_pictures
 from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, axis_of, load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
-from gateway.cameras.camera_process import MOST_PEOPLE, CameraTask
+from gateway.cameras.camera_process import CameraTask
 from gateway.cli.options import CaFile, PasswordFile, Protocol, Username, broker_settings, refuse_existing
 from gateway.cli.terminal import progress_bar
 from gateway.contract.topics import CAMERA
 from gateway.errors import GatewayError
+from gateway.reconstruction.video.networks.person_detector import MOST_PEOPLE
 from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
 from gateway.support.video_extra import require_video_extra
 
@@ -80,7 +81,7 @@ class Pictures:
 def matched(
     places: Sequence[str], calibration: Path, pictures: Pictures
 ) -> tuple[tuple[Camera, ...], tuple[CameraTask, ...]]:
-    """The cameras of the places, made to fit their pictures, and what their processes are to do.
+    """Return the cameras of the places, made to fit their pictures, and what their processes are to do.
 
     A place belongs to the camera that is named before its ``=``, else to the one whose name stands in the
     file's own, else to the next in order. Raises ``GatewayError`` and ``CameraError``.
@@ -137,7 +138,7 @@ def _speaks_of(path: Path, name: str) -> bool:
 
 
 def offsets_of(texts: Sequence[str], known: list[str]) -> dict[str, int]:
-    """Pictures to leave out by camera. Raises ``GatewayError``."""
+    """Return pictures to leave out by camera. Raises ``GatewayError``."""
     offsets = {}
     for text in texts:
         name, _, number = text.partition("=")
@@ -151,7 +152,7 @@ def offsets_of(texts: Sequence[str], known: list[str]) -> dict[str, int]:
 
 
 def people_of(text: str) -> int | None:
-    """How many people; None: all. Raises ``GatewayError``."""
+    """Return how many people; None: all. Raises ``GatewayError``."""
     if text == "all":
         return None
     if not text.isdigit() or not 0 < int(text) <= MOST_PEOPLE:
@@ -160,7 +161,7 @@ def people_of(text: str) -> int | None:
 
 
 def joined_of(texts: Sequence[str], cameras: Sequence[Camera]) -> tuple[tuple[int, int], ...]:
-    """Pairs of cameras by their place in the order. Raises ``GatewayError``."""
+    """Return pairs of cameras by their place in the order. Raises ``GatewayError``."""
     names = [camera.name for camera in cameras]
     pairs = []
     for text in texts:
@@ -236,6 +237,10 @@ def serve_camera(
     network: Network = "full",
     rate: Rate = None,
     speed: Annotated[float, typer.Option(min=0, help="Of a file: 1 as taken; 0 as fast as it goes.")] = 1.0,
+    people: Annotated[
+        int,
+        typer.Option(min=1, max=8, help="At once; more than 1 for a gateway with the setting 'people'."),
+    ] = 1,
     at: Annotated[
         str | None,
         typer.Option(metavar="HH:MM:SS", help="When a file begins, UTC; else with the first receiver."),
@@ -267,7 +272,7 @@ def serve_camera(
     if mqtt is None:
         with listening(host, port) as listener:
             _tell(f"camera '{name}' at tcp://{host}:{listener.getsockname()[1]}; Ctrl-C ends")
-            _serve(task, Outlet(listener), speed, begin_s)
+            _serve(task, Outlet(listener), speed, begin_s, people)
         return
     broker, _, number = mqtt.rpartition(":")
     if not broker or not number.isdigit() or not 0 < int(number) < 1 << 16:
@@ -280,13 +285,13 @@ def serve_camera(
         protocol=protocol,
     )  # fmt: skip
     _tell(f"camera '{name}' on topic {topic} of {mqtt}; Ctrl-C ends")
-    _serve(task, BrokerOutlet(settings, topic), speed, begin_s)
+    _serve(task, BrokerOutlet(settings, topic), speed, begin_s, people)
 
 
-def _serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None) -> None:
+def _serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None, people: int) -> None:
     from gateway.cameras.serving import serve
 
-    serve(task, sink, speed, begin_s)
+    serve(task, sink, speed, begin_s, people)
     done = sink.served
     typer.echo(f"{done.messages} pictures, {done.sent} messages sent, {done.skipped} left out")
 
@@ -296,7 +301,7 @@ def _tell(text: str) -> None:
 
 
 def moment(text: str, now_s: float) -> float:
-    """The next time that it is so late in UTC, within twelve hours; seconds since the epoch. Raises
+    """Return the next time that it is so late in UTC, within twelve hours; seconds since the epoch. Raises
     ``GatewayError``."""
     try:
         wanted = datetime.strptime(text, "%H:%M:%S").replace(tzinfo=UTC)

@@ -77,6 +77,9 @@ def solve(
     ] = None,
     people: People = "1",
     join: Join = None,
+    synchronise: Annotated[
+        bool, typer.Option("--synchronise", help="Shift cameras that are out of step by what is found.")
+    ] = False,
     frames: Annotated[
         int | None, typer.Option(min=1, help="Instants to take; a live camera needs it.")
     ] = None,
@@ -114,6 +117,8 @@ def solve(
         captured, rate_hz = looked_at(seen, tasks, frames, options, is_shown=not as_json)
     if len(seen) < 2:
         typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
+    if synchronise:
+        captured = _in_step(seen, captured)
     if wanted is None:
         captured = _real_people(captured, seen)
     known = None if subject is None else load_rig(str(subject))
@@ -134,10 +139,22 @@ def solve(
         typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
 
 
+def _in_step(cameras: Sequence[Camera], captured: Sequence[Instants]) -> list[Instants]:
+    """Leave pictures out at the start of cameras that began earlier, as the first person tells, for all."""
+    from gateway.cameras.consistency import consistency_of, in_step
+
+    checked = consistency_of(cameras, captured[0])
+    if not checked.offsets:
+        return list(captured)
+    told = ", ".join(f"{name} {late}" for name, late in zip(checked.names, checked.skipped, strict=True))
+    typer.echo(f"note: pictures left out so that the cameras are in step: {told}", err=True)
+    return [in_step(messages, checked.skipped) for messages in captured]
+
+
 def _imported(
     files: Sequence[str], calibration: Path, pictures: Pictures, wanted: int | None, frames: int | None
 ) -> tuple[tuple[Camera, ...], str, list[Instants], float]:
-    """Cameras, keypoint set, messages by person and rate of keypoints that another program found."""
+    """Return cameras, keypoint set, messages by person and rate of keypoints that another program found."""
     from devices.cameras.keypoint_files import read_keypoints
     from gateway.cameras.imported_keypoints import keypoint_messages
 
@@ -177,7 +194,7 @@ def _people(
 
 
 def _places(target: Path, n: int, *, force: bool) -> list[Path]:
-    """Of n recordings. Raises ``GatewayError`` where one stands in the way."""
+    """Return the places of n recordings. Raises ``GatewayError`` where one stands in the way."""
     places = _named(target, n)
     for place in places:
         refuse_existing(place, force)
@@ -185,7 +202,7 @@ def _places(target: Path, n: int, *, force: bool) -> list[Path]:
 
 
 def _named(path: Path, n: int) -> list[Path]:
-    """n files beside ``path``, numbered; the path itself for one."""
+    """Return n files beside ``path``, numbered; the path itself for one."""
     return [path] if n == 1 else [path.with_stem(f"{path.stem}_{k + 1}") for k in range(n)]
 
 
@@ -232,7 +249,7 @@ def looked_at(
     *,
     is_shown: bool = True,
 ) -> tuple[list[Instants], float]:
-    """By person, the heat maps of every instant, a message a camera; and the rate in Hz."""
+    """Return by person the heat maps of every instant, a message a camera; and the rate in Hz."""
     from gateway.cameras.rig_of_cameras import CameraRig
     from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 
@@ -283,7 +300,7 @@ def _tell(outcome: dict[str, Any]) -> None:
 
 
 def _keypoint_figures(done: SolvedVideo, n_cameras: int) -> dict[str, dict[str, float]]:
-    """By keypoint; none of an offline solution, whose poses are not followed one by one."""
+    """Return figures by keypoint; none of an offline solution, whose poses are not followed one by one."""
     if not done.poses:
         return {}
     lost = np.array([pose.tracking != 0 for pose in done.poses])

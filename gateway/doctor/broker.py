@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import aiomqtt
 import numpy as np
 
-from devices.cameras.heat_map_messages import is_one_message
+from devices.cameras.heat_map_messages import camera_of
 from devices.endpoints import EndpointError
 from gateway.cameras.broker_link import SCHEME, BrokerLink, link_of
 from gateway.contract.request_messages import ResponseMessage
@@ -165,7 +165,7 @@ async def _heard(client: aiomqtt.Client, seconds: float) -> Counter[tuple[str, b
     async def listen() -> None:
         async for message in client.messages:
             payload = message.payload
-            is_right = isinstance(payload, bytes) and is_one_message(payload)
+            is_right = isinstance(payload, bytes) and camera_of(payload) is not None
             heard[message.topic.value, is_right] += not message.retain
 
     listening = asyncio.create_task(listen())

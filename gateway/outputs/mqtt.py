@@ -108,6 +108,8 @@ class MqttOutput:
     ) -> None:
         self.topics = Topics(settings.base_topic, info.gateway)
         self.is_connected = False
+        self.leaves_nothing = False
+        """Whether what is retained is taken off the broker at the end."""
         self.port = settings.port
         """Port of the broker; with port 0 in the settings, the one that was found free."""
         self._settings = settings
@@ -531,7 +533,13 @@ class MqttOutput:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_DRAIN_S):
                 await self._retained.publish(client)
+        await self._say_offline(client)
+
+    async def _say_offline(self, client: aiomqtt.Client) -> None:
+        """Publish the state, and take off the broker what is not to stay."""
         await client.publish(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
+        for topic in self._retained.topics if self.leaves_nothing else ():
+            await client.publish(topic, b"", qos=1, retain=True)
 
     async def _tell_health(self, client: aiomqtt.Client) -> None:
         """Until stopped."""
@@ -647,7 +655,7 @@ class MqttOutput:
                 await self._publish_waiting(client, direct)
         except TimeoutError:
             logger.debug("%d poses were still queued at the end", len(self._queue))
-        await client.publish(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
+        await self._say_offline(client)
 
     def _report_outage(self, error: Exception) -> None:
         """One warning for a broker that is away, one more if it then refuses us."""

@@ -114,6 +114,11 @@ class RetainedMessages:
         self._unsent[topic] = None
         self._wake.set()
 
+    @property
+    def topics(self) -> list[str]:
+        """All on which something is kept."""
+        return list(self._newest)
+
     def begin_again(self) -> None:
         """Nothing has been sent yet, on this connection."""
         self._unsent = dict.fromkeys(self._newest)

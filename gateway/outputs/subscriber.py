@@ -151,6 +151,10 @@ class PoseSubscriber:
     def _take(
         self, gateway: str, topic: str, message: aiomqtt.Message, payload: bytes, arrived_ns: int
     ) -> None:
+        if not payload and topic in {topics.BRIDGE_STATE, topics.BRIDGE_INFO, topics.BODY}:
+            for known in (self.states, self.infos, self.bodies, self.healths, self.markers):
+                known.pop(gateway, None)  # taken off the broker
+            return
         match topic:
             case topics.POSE if not message.retain:
                 pose = PoseMessage.model_validate_json(payload)

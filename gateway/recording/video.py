@@ -18,7 +18,6 @@ from devices.link import Chunk
 from devices.recording_writer import DerivedRecordingWriter
 from gateway.body.camera import Camera
 from gateway.body.camera_entries import entry_of
-from gateway.body.rig import WorldSettings, worn_without_modules
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.body.subject_file import subject_content
 from gateway.errors import GatewayError
@@ -28,7 +27,7 @@ from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.networks.weights import keypoint_set_of
 from gateway.reconstruction.video.offline import reconstruct_recorded
-from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor
+from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor, worn_person
 from gateway.reconstruction.video.tracker import VideoOptions
 from gateway.recording.imported import add_solved, imported_session, solve_into, solved_settings
 from gateway.recording.reading import Progress
@@ -101,9 +100,7 @@ def video_suit(
             f"in {len(messages)} pictures of {len(cameras)} cameras nobody is seen by rays that meet: does "
             "the calibration belong to these cameras, in this order, and are they synchronised?"
         )
-    person = reconstructor.person
-    suit = worn_without_modules(person.skeleton, person.markers, WorldSettings())
-    return replace(suit, video=video)
+    return worn_person(reconstructor.person, video)
 
 
 def video_subject(name: str, suit: WornSuit) -> dict[str, Any]:

@@ -1,5 +1,5 @@
-"""Several people before one optical system: a service of its own for each, fed with what the links of the
-first one give."""
+"""Further people beside the first one, each with a service of its own: those before one optical system are
+fed with what the links of the first service give."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.errors import SettingsError
 from gateway.outputs.settings import OutputsSettings
 from gateway.settings import BodySettings, GatewaySettings, MetricsSettings
+from gateway.sources.link_settings import LinkSettings
 
 log = logging.getLogger(__name__)
 
@@ -41,28 +42,36 @@ def _subject_of(body: BodySettings, config: Path | None) -> WornSuit:
 
 
 def _settings_of(settings: GatewaySettings, body: BodySettings) -> GatewaySettings:
-    """Return those of one further body: the links of markers, a name of its own, no other outputs and
-    ports."""
+    """Return those of one further body, with the links of markers."""
     links = [
         link.model_copy(update={"person": body.person})
         for link in settings.links
         if link.carries == "markers"
     ]
+    return beside(settings, body.name, links).model_copy(update={"rig": body.subject})
+
+
+def beside(
+    settings: GatewaySettings, name: str, links: Sequence[LinkSettings], broker_port: int | None = None
+) -> GatewaySettings:
+    """Return the settings of one more person: a name of its own, no other outputs and ports.
+
+    broker_port: of the broker that runs already; None: it is told later, with ``at_broker``.
+    """
     # What belongs to the whole set-up stays with the first person's service: two could not bind one port.
     kept = settings.recording
-    name = body.name if kept.name is None else f"{kept.name}_{body.name}"
     changes = {
-        "gateway": f"{settings.gateway}_{body.name}",
-        "links": links,
-        "rig": body.subject,
+        "gateway": f"{settings.gateway}_{name}",
+        "links": list(links),
         "bodies": [],
         "outputs": OutputsSettings(),
         "metrics": MetricsSettings(),
-        "recording": kept.model_copy(update={"name": name}),
+        "recording": kept.model_copy(update={"name": name if kept.name is None else f"{kept.name}_{name}"}),
         # A broker hangs up on the older of two connections with one client id.
         "mqtt": settings.mqtt.model_copy(update={"client_id": None}),
     }
-    return settings.model_copy(update=changes)
+    found = settings.model_copy(update=changes)
+    return found if broker_port is None else at_broker(found, broker_port)
 
 
 def at_broker(settings: GatewaySettings, port: int) -> GatewaySettings:

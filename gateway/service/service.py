@@ -8,7 +8,7 @@ import functools
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard, TypeVar
 
 import gateway
 from devices.command_client import CommandClient
@@ -49,11 +49,13 @@ from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, LOAD_EVENT, Pipelin
 from gateway.recording.control import RecordingControl
 from gateway.recording.shelf import Shelf
 from gateway.service.accounting import balances_of
+from gateway.service.camera_orders import CameraOrders
 from gateway.service.further_bodies import FurtherBody, HandedLink, at_broker
 from gateway.service.host_sender import HostSender
 from gateway.service.observability import Observer
 from gateway.service.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, TICK_S, LoadWatch
 from gateway.service.own_requests import OwnRequests
+from gateway.service.people import CARRIES, PeopleBeforeCameras
 from gateway.service.synchronisation import Synchroniser
 from gateway.service.triggering import Triggerer
 from gateway.settings import GatewaySettings, fitting_suit
@@ -62,12 +64,14 @@ from gateway.sources.losses import Cause
 from gateway.sources.makers import OthersLinkSettings
 from gateway.sources.registry import source_kind
 from gateway.sources.stream import Stream
+from gateway.stages.cameras import CameraStage
 from gateway.support.memory import bound_memory, give_back
 from gateway.support.processor import target_name
 from gateway.support.supervision import kept_running
 
 log = logging.getLogger(__name__)
 
+T = TypeVar("T")
 REPORT_INTERVAL_S = 10.0
 _POSES_A_TURN = 8
 """Of a link that is never empty; then the event loop has its turn."""
@@ -98,9 +102,11 @@ class Service:
         config: the file that the settings come from.
         """
         settings = fitting_suit(settings, suit)
-        self.settings = settings
         self.others = others
         self._handed: dict[str, list[HandedLink]] = {}
+        self.settings = settings
+        self.people: PeopleBeforeCameras | None = None
+        """Several, who come and go before cameras."""
         self.begun = asyncio.Event()
         """Whether all that could keep it from running is open."""
         self.links = (
@@ -149,6 +155,9 @@ class Service:
             stream, self.commands, suit, Journal(default_journal_path()), self._makers
         )
         sender = HostSender(self._note_sent, senders=stream.senders)
+        self._orders = CameraOrders([link for link in self.links if self._has_cameras(link)])
+        if settings.people is not None:
+            self.people = PeopleBeforeCameras(settings, suit, _serve_person, self._orders.tell)
         self._announced: list[Link] = []  # to the pipeline, and with devices that take commands
         self._askers = list(_askers(settings, self._announced, sender, stream))
 
@@ -220,6 +229,7 @@ class Service:
             "failed_chunks": self.failed_chunks,
             "recording": self.recording.status(),
             "load": self.load.statistics(),
+            **({} if self.people is None else self.people.statistics()),
             "requests": self.requests.statistics(),
         }
 
@@ -265,6 +275,8 @@ class Service:
             if self._records_at_start:
                 self.recording.start()
             self.begun.set()
+            if self.people is not None:
+                self.people.broker_port = self.mqtt.port
             self.requests.start(self.mqtt.port)
             # Each is restarted should it fail: a broken report must not end the poses.
             companions = [
@@ -295,6 +307,8 @@ class Service:
                 for companion in (*companions, *others):
                     companion.cancel()
                 await asyncio.gather(*others, return_exceptions=True)
+                if self.people is not None:
+                    await self.people.close()
                 await self.recording.stop()
                 await self.requests.stop()
 
@@ -337,6 +351,10 @@ class Service:
         """Return whether packets of ours may be written to a link."""
         return source_kind(self._carries.get(link.name, SUIT)).takes_commands
 
+    def _has_cameras(self, link: Link) -> TypeGuard[ReconnectingLink]:
+        """Return whether cameras are at the other end of a link, which take orders."""
+        return isinstance(link, ReconnectingLink) and self._carries.get(link.name) == CARRIES
+
     async def _ingest(self, link: Link) -> None:
         """Pass on what one link yields, until it ends: link → pipeline → outputs."""
         await link.open()
@@ -377,19 +395,33 @@ class Service:
     def _take_chunk(self, chunk: Chunk, content: str) -> int:
         """Record a chunk, feed it, hand the poses on; return how many there are."""
         self.recording.chunk(chunk, content)
+        if self.people is not None and content == CARRIES:
+            self._guarded(self.people.take, chunk)
+            return 0
         for link in self._handed.get(chunk.link, ()):
             link.hand(chunk)
         skeleton_frames = self._fed(chunk)
+        if content == CARRIES:
+            self._lead_cameras(chunk.link)
         for frame in skeleton_frames:
             self.recording.skeleton(frame, chunk.arrived_ns)
             for output in self._outputs:
                 output.offer(frame)
         return len(skeleton_frames)
 
+    def _lead_cameras(self, link: str) -> None:
+        """Tell the cameras where the pose will have the person of the rig."""
+        stage = self.pipeline.stage_at(link)
+        if isinstance(stage, CameraStage) and (orders := stage.orders()):
+            self._orders.tell(orders)
+
     def _fed(self, chunk: Chunk) -> list[SkeletonFrame]:
-        """Return the poses that a chunk completes; an exception costs this chunk, never the session."""
+        return self._guarded(self.pipeline.feed, chunk) or []
+
+    def _guarded(self, take: Callable[[Chunk], T], chunk: Chunk) -> T | None:
+        """Return what ``take`` makes of a chunk; an exception costs this chunk, never the session."""
         try:
-            return self.pipeline.feed(chunk)
+            return take(chunk)
         except Exception:
             self.failed_chunks += 1
             # A defect may hit every chunk: logging the first, tenth, hundredth … keeps the log readable.
@@ -402,7 +434,7 @@ class Service:
                     chunk.link,
                     chunk.arrived_ns,
                 )
-            return []
+            return None
 
     def _shed(self) -> None:
         """Do what the stage of the load asks for, and publish it."""
@@ -510,6 +542,13 @@ class Service:
             frames_before = frames
             if (news := self._strangers.news()) is not None:
                 log.warning("%s", news)
+
+
+async def _serve_person(settings: GatewaySettings, suit: WornSuit, links: Sequence[Link]) -> None:
+    """The service of somebody before cameras, of whom nothing stays at the broker."""
+    service = Service(settings, suit, links)
+    service.mqtt.leaves_nothing = True
+    await _run_beside(service)
 
 
 async def _run_beside(service: Service) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class HeatMapSource(ListeningSource):
         self._row = {camera.name: row for row, camera in enumerate(suit.video.cameras)}
         self._network = suit.video.network
         self._receivers: dict[str, HeatMapReceiver] = {}
-        self._instants = _Instants(len(self._row))
+        self._instants = Instants(len(self._row))
         self._refused: dict[str, Counter[str]] = {}
         """By link: unknown_camera, other_network, too_late."""
 
@@ -49,8 +50,14 @@ class HeatMapSource(ListeningSource):
         frames: list[HeatMapFrame] = []
         for message in self._receivers[chunk.link].receive(chunk.data):
             self._take(message, chunk)
-            frames += self._instants.complete()
+            frames += map(self._frame, self._instants.complete())
         return frames
+
+    def _frame(self, instant: Instant) -> HeatMapFrame:
+        """Return the person without a number, in all cameras."""
+        shown = {row: each for row, told in instant.told.items() for each in told if each.person == 0}
+        maps = tuple(heat_maps_of(shown.get(row)) for row in range(len(self._row)))
+        return HeatMapFrame(instant.sequence, instant.time_ns, maps)
 
     def dropped(self) -> Mapping[str, Mapping[str, int]]:
         """Return what could not be read or used, by link and reason."""
@@ -84,7 +91,18 @@ class HeatMapSource(ListeningSource):
             refused["too_late"] += 1
 
 
-class _Instants:
+@dataclass(frozen=True, slots=True)
+class Instant:
+    """What the cameras told of one instant."""
+
+    sequence: int
+    time_ns: int
+    """Gateway time."""
+    told: Mapping[int, Sequence[HeatMapMessage]]
+    """By camera's row, a message for each person that it followed; none of a camera not waited for."""
+
+
+class Instants:
     """Messages of several cameras put together by their sequence numbers, given out in order.
 
     An instant waits for a camera that may still send it: not for one that has sent a later one (the
@@ -104,7 +122,7 @@ class _Instants:
 
     def _forget(self) -> None:
         self._last = [-1] * self._n
-        self._waiting: dict[int, dict[int, HeatMapMessage]] = {}
+        self._waiting: dict[int, dict[int, dict[int, HeatMapMessage]]] = {}  # by sequence, row, person
         self._since_ns: dict[int, int] = {}
         self._done = -1
         self._offset_ns: int | None = None
@@ -124,38 +142,38 @@ class _Instants:
         # the senders share a clock; its offset is that of the least delayed message
         offset = arrived_ns - message.time_ns
         self._offset_ns = offset if self._offset_ns is None else min(self._offset_ns, offset)
-        self._waiting.setdefault(message.sequence, {})[row] = message
+        self._waiting.setdefault(message.sequence, {}).setdefault(row, {})[message.person] = message
         self._since_ns.setdefault(message.sequence, arrived_ns)
         return True
 
-    def complete(self) -> Iterator[HeatMapFrame]:
-        """Yield instants in order, once every camera has sent its message or is no longer waited for."""
+    def complete(self) -> Iterator[Instant]:
+        """Yield instants that all cameras have told of, or that are given up waiting for, in order."""
         while self._waiting:
             first = min(self._waiting)
             if self._is_awaited(first):
                 return
-            messages = self._waiting.pop(first)
+            told = {row: list(people.values()) for row, people in self._waiting.pop(first).items()}
             del self._since_ns[first]
             self._done = first
             self.given += 1
-            self.incomplete += len(messages) < self._n
-            yield self._frame(first, messages)
+            self.incomplete += len(told) < self._n
+            assert self._offset_ns is not None
+            yield Instant(first, told[min(told)][0].time_ns + self._offset_ns, told)
 
     def _is_awaited(self, sequence: int) -> bool:
-        """Return whether a camera may still send its message of this instant, and is worth waiting for."""
-        missing = set(range(self._n)) - self._waiting[sequence].keys()
+        """Return whether a camera may still tell of this instant, and is waited for."""
+        whole = {row for row, people in self._waiting[sequence].items() if _is_whole(people.values())}
+        missing = set(range(self._n)) - whole
         may_come = any(
-            self._last[row] < sequence and self._now_ns - self._heard_ns[row] < SILENT_NS for row in missing
+            self._last[row] <= sequence and self._now_ns - self._heard_ns[row] < SILENT_NS for row in missing
         )
         is_new = self._now_ns - self._since_ns[sequence] < PATIENCE_NS
         return may_come and (is_new or max(self._waiting) - sequence < PATIENCE)
 
-    def _frame(self, sequence: int, messages: dict[int, HeatMapMessage]) -> HeatMapFrame:
-        assert self._offset_ns is not None
-        time_ns = messages[min(messages)].time_ns + self._offset_ns
-        return HeatMapFrame(
-            sequence, time_ns, tuple(heat_maps_of(messages.get(row)) for row in range(self._n))
-        )
+
+def _is_whole(messages: Iterable[HeatMapMessage]) -> bool:
+    """Return whether the last message of a picture is among those that came of it."""
+    return any(message.following == 0 for message in messages)
 
 
 def heat_map_frame(sequence: int, messages: Sequence[bytes]) -> HeatMapFrame:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from devices.cameras.orders import encode_orders
 from gateway.contract.balances import Balance
 from gateway.frames import HeatMapFrame, SkeletonFrame
 from gateway.reconstruction.video.reconstructor import VideoPose, video_reconstructor
+from gateway.reconstruction.video.regions import square_of
 from gateway.stages.stage import StageContext
 
 
@@ -33,6 +35,17 @@ class CameraStage:
             else:
                 found.append(self.last.skeleton)
         return found
+
+    def orders(self) -> bytes:
+        """Return where the cameras will see the person in their next picture; nobody while none is known."""
+        if self.last is None:
+            return b""
+        is_known = any(region is not None for region in self.last.regions)
+        cameras = zip(self.reconstructor.cameras, self.last.regions, strict=True)
+        return encode_orders(
+            self.last.sequence + 1,
+            {camera.name: {0: square_of(region)} if is_known else {} for camera, region in cameras},
+        )
 
     def statistics(self) -> Mapping[str, object]:
         """Return nothing: the source tells what became of the messages."""

@@ -24,6 +24,7 @@ from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.assistant import Assistant
 from gateway.viewer.body_steps import BodySteps
 from gateway.viewer.check_tab import CheckTab
+from gateway.viewer.companions import Companions
 from gateway.viewer.live_markers import LiveMarkers
 from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import (
@@ -103,6 +104,7 @@ class LiveViewer:
         self._stage = Stage(server)
         self._markers = LiveMarkers(server, self._stage)
         self._trail = Trail(server, self._stage)
+        self._companions = Companions(server, self._stage)
         self._instant: MarkerInstant | None = None
 
         self._panel = Panel(server, self._buttons() if may_write else (), self._stage)
@@ -158,8 +160,10 @@ class LiveViewer:
 
     async def _collect(self, poses: PoseSubscriber) -> None:
         async for received in poses:
-            if self._takes_any and self._latest is None:
-                self._gateway = received.gateway  # the first that gives poses, from now on
+            is_gone = self._latest is not None and self._gateway not in poses.states
+            if self._takes_any and (self._latest is None or is_gone):
+                self._gateway = received.gateway  # the first that gives poses, until its person has left
+            self._companions.add(received)
             if received.gateway == self._gateway:
                 self._latest = received
                 self._undrawn.append(received)
@@ -180,6 +184,7 @@ class LiveViewer:
                 self._show_texts(poses)
             self._take_body(poses.bodies.get(self._gateway))
             self._draw(poses.markers.get(self._gateway))
+            self._companions.draw(self._gateway, {} if self._replayed is not None else poses.bodies)
             picture += 1
 
     def _take_gateway(self, poses: PoseSubscriber) -> None:

@@ -32,8 +32,12 @@ class BodyScene:
         stage: Stage,
         skeleton: Skeleton,
         clicked: Callable[[str], None] | None = None,
+        root: str = _BODY,
     ) -> None:
-        """Add a body; ``clicked`` is called with the segment of a limb that is clicked."""
+        """Add a body; ``clicked`` is called with the segment of a limb that is clicked.
+
+        root: of the names in the scene; each body has its own.
+        """
         self._server = server
         self._stage = stage
         self._skeleton = skeleton
@@ -43,7 +47,7 @@ class BodyScene:
         scene = server.scene
 
         self._bodies = scene.add_batched_meshes_simple(
-            f"{_BODY}/bones",
+            f"{root}/bones",
             BONE_VERTICES,
             BONE_FACES,
             np.tile(identity, (n_bones, 1)),
@@ -58,7 +62,7 @@ class BodyScene:
 
         self._sides = [side_of(name) for name in skeleton.segment_names]
         mannequin = mannequin_of(skeleton)
-        self._figure = None if mannequin is None else Figure(server, mannequin)
+        self._figure = None if mannequin is None else Figure(server, mannequin, root)
         if self._figure is not None and clicked is not None:
             names = skeleton.segment_names
             self._figure.on_click(lambda segment: clicked(names[segment]))
@@ -68,7 +72,7 @@ class BodyScene:
         self._bodies.visible = self.shows_bones
 
         self._axes = scene.add_batched_axes(
-            f"{_BODY}/axes",
+            f"{root}/axes",
             np.tile(identity, (n, 1)),
             np.tile(origin, (n, 1)),
             axes_length=AXES_LENGTH_M,
@@ -76,7 +80,7 @@ class BodyScene:
             visible=False,
         )
         self._labels = [
-            scene.add_label(f"{_BODY}/names/{name}", name, visible=False, anchor="bottom-left")
+            scene.add_label(f"{root}/names/{name}", name, visible=False, anchor="bottom-left")
             for name in skeleton.segment_names
         ]
 
@@ -194,12 +198,12 @@ _DISC_FACES = np.array([(0, 1 + k, 1 + (k + 1) % 16) for k in range(16)])
 class Figure:
     """The mannequin, and a shade on the floor below each foot."""
 
-    def __init__(self, server: viser.ViserServer, mannequin: Mannequin) -> None:
+    def __init__(self, server: viser.ViserServer, mannequin: Mannequin, root: str) -> None:
         self._parts = mannequin
         n, n_soles = len(mannequin.segment), len(mannequin.soles)
         level = np.array([1.0, 0.0, 0.0, 0.0])
         self._limbs = server.scene.add_batched_meshes_simple(
-            f"{_BODY}/mannequin",
+            f"{root}/mannequin",
             SPINDLE_VERTICES,
             SPINDLE_FACES,
             np.tile(level, (n, 1)),
@@ -212,7 +216,7 @@ class Figure:
             receive_shadow=False,
         )
         self._shades = server.scene.add_batched_meshes_simple(
-            f"{_BODY}/shades",
+            f"{root}/shades",
             _DISC_VERTICES,
             _DISC_FACES,
             np.tile(level, (n_soles, 1)),

@@ -55,8 +55,8 @@ class Freedom(NamedTuple):
 
 
 def freedom_of(skeleton: Skeleton) -> Freedom:
-    """The degrees of freedom of a body with the segments of ``human_23``. Raises ``SettingsError`` if it
-    lacks one."""
+    """Return the degrees of freedom of a body with the segments of ``human_23``. Raises ``SettingsError`` if
+    it lacks one."""
     wanted = {name for group in _BALLS for name in group}
     wanted |= {f"{side}_{part}" for side in ("left", "right") for part in _HINGED} | {"pelvis"}
     if missing := sorted(wanted - set(skeleton.segment_names)):
@@ -100,8 +100,8 @@ def freedom_of(skeleton: Skeleton) -> Freedom:
 
 @compiled
 def turn_matrix(freedom: Freedom, parents: IntArray, R: FloatArray) -> FloatArray:
-    """T (3 + 3 S, 40): small changes of the degrees of freedom to those that ``optical.kernels`` knows, a
-    shift of the root and a turn of every segment in world axes."""
+    """Return T (3 + 3 S, 40): small changes of the degrees of freedom to those that ``optical.kernels``
+    knows, a shift of the root and a turn of every segment in world axes."""
     T = np.zeros((3 + 3 * len(parents), DEGREES))
     for i in range(3):
         T[i, i] = 1.0
@@ -116,8 +116,8 @@ def turn_matrix(freedom: Freedom, parents: IntArray, R: FloatArray) -> FloatArra
 
 @compiled
 def kept_free(freedom: Freedom, parents: IntArray, R: FloatArray) -> FloatArray:
-    """The pose (S, 3, 3) nearest by that has the 40 degrees of freedom alone: hinges inside their limits,
-    shared bends equal, what has no freedom in line with its parent."""
+    """Return the pose (S, 3, 3) nearest by that has the 40 degrees of freedom alone: hinges inside their
+    limits, shared bends equal, what has no freedom in line with its parent."""
     kept = R.copy()
     for s in range(1, len(parents)):
         p = parents[s]

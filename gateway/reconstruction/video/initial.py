@@ -1,9 +1,9 @@
-"""Where keypoints are when nothing is known yet: from rays, by DLT, or out of the whole volume. Compiled.
+"""Where keypoints are when nothing is known yet: from rays, or out of the whole volume. Compiled.
 
 Step 3 of JP2020-042476A: of all pairs of cameras, the one whose rays through the centroids of a keypoint's
 maps pass each other most closely, nearer than 20 mm; the keypoint is in the middle of their common
-perpendicular. Or the direct linear transform over all cameras (Hartley & Zisserman 2004, Multiple View
-Geometry, 12.2), here of undistorted directions. Or, step 4, the cell of a volume with the largest summed PCM.
+perpendicular. What rays leave open of the trunk is, by step 4, the cell of the volume with the largest summed
+PCM.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.geometry.compiled import compiled
@@ -32,7 +33,8 @@ PERSON_RADIUS = 1.3
 
 @compiled
 def centroids(maps: Maps) -> tuple[FloatArray, FloatArray]:
-    """Centroids (n_keypoints, 2), column and row, about the highest value; and that value (n_keypoints,)."""
+    """Return centroids (n_keypoints, 2), column and row, about the highest value; and that value
+    (n_keypoints,)."""
     n, rows, columns = maps.shape
     places, peaks = np.full((n, 2), np.nan), np.zeros(n)
     for m in range(n):
@@ -51,8 +53,8 @@ def centroids(maps: Maps) -> tuple[FloatArray, FloatArray]:
 
 
 def rays_through(model: CameraModel, maps: CameraHeatMaps) -> tuple[FloatArray, FloatArray]:
-    """Unit directions (n_keypoints, 3), world axes, through the centroids of one camera's maps, and how high
-    the maps are there (n_keypoints,)."""
+    """Return unit directions (n_keypoints, 3), world axes, through the centroids of one camera's maps, and
+    how high the maps are there (n_keypoints,)."""
     places, peaks = centroids(maps.likelihood)
     A = maps.map_from_pixel
     pixels = np.linalg.solve(A[:, :2], (places - A[:, 2]).T).T
@@ -90,9 +92,9 @@ def closest_pair(
 
 @compiled
 def nearest_to_rays(positions: FloatArray, directions: FloatArray, weights: FloatArray) -> FloatArray:
-    """The point (3,) m with the least weighted sum of squared distances from rays (n_cameras, 3): DLT.
+    """Return the point (3,) m with the least weighted sum of squared distances from rays (n_cameras, 3).
 
-    Distances from rays instead of the algebraic error, which weighs far cameras more. NaN with fewer than
+    NaN with fewer than
     two rays or parallel ones.
     """
     A, b, n = np.zeros((3, 3)), np.zeros(3), 0
@@ -113,12 +115,10 @@ def nearest_to_rays(positions: FloatArray, directions: FloatArray, weights: Floa
 
 
 def from_rays(
-    models: Sequence[CameraModel], maps: Sequence[CameraHeatMaps | None], use_dlt: bool = False
+    models: Sequence[CameraModel], maps: Sequence[CameraHeatMaps | None]
 ) -> tuple[FloatArray, FloatArray]:
-    """Keypoints (n_keypoints, 3) m and their summed peaks (n_keypoints,); NaN where rays do not meet.
-
-    use_dlt: over all cameras, else by the closest pair.
-    """
+    """Return keypoints (n_keypoints, 3) m and their summed peaks (n_keypoints,); NaN where rays do not
+    meet."""
     chosen = [(model, seen) for model, seen in zip(models, maps, strict=True) if seen is not None]
     n = chosen[0][1].likelihood.shape[0] if chosen else 0
     points, likelihood = np.full((n, 3), np.nan), np.zeros(n)
@@ -129,13 +129,22 @@ def from_rays(
     directions = np.stack([rays for rays, _ in found], axis=1)
     peaks = np.stack([peak for _, peak in found], axis=1)
     for m in range(n):
-        if use_dlt:
-            weights = np.where(peaks[m] >= LEAST_LIKELIHOOD, peaks[m], 0.0)
-            points[m] = nearest_to_rays(positions, directions[m], weights)
-        else:
-            points[m], _ = closest_pair(positions, directions[m], peaks[m], NEAR_RAYS)
+        points[m], _ = closest_pair(positions, directions[m], peaks[m], NEAR_RAYS)
         likelihood[m] = peaks[m].sum()
     return points, likelihood
+
+
+def middle_of_views(models: Sequence[CameraModel], maps: Sequence[CameraHeatMaps | None]) -> FloatArray:
+    """Return the point (3,) m nearest to the rays through the middles of the cameras' maps, where they look
+    at somebody; NaN where rays are too few or parallel."""
+    chosen = [(model, seen) for model, seen in zip(models, maps, strict=True) if seen is not None]
+    directions = []
+    for model, seen in chosen:
+        _, rows, columns = seen.likelihood.shape
+        A, middle = seen.map_from_pixel, np.array([(columns - 1) / 2, (rows - 1) / 2])
+        directions.append(ray(model, *np.linalg.solve(A[:, :2], middle - A[:, 2])))
+    positions = np.stack([model.position for model, _ in chosen])
+    return nearest_to_rays(positions, np.stack(directions), np.ones(len(chosen)))
 
 
 def from_volume(
@@ -144,14 +153,16 @@ def from_volume(
     centre: FloatArray,
     half_width: float,
     cell: float,
+    is_wanted: NDArray[np.bool_],
 ) -> tuple[FloatArray, FloatArray]:
-    """Keypoints (n_keypoints, 3) m, and their summed PCM: the best cell of a cube of the volume.
+    """Return keypoints (n_keypoints, 3) m, and their summed PCM: the best cell of a cube of the volume.
 
-    centre: (3,) m; half_width: of the cube, m; cell: its grid, m.
+    centre: (3,) m; half_width: of the cube, m; cell: its grid, m; is_wanted: (n_keypoints,); the others are
+    NaN.
     """
     n = next(seen.likelihood.shape[0] for seen in maps if seen is not None)
     k = int(np.ceil(half_width / cell))
-    centres, spacing = np.tile(centre, (n, 1)), np.full(n, cell)
+    centres, spacing = np.where(is_wanted[:, None], centre, np.nan), np.full(n, cell)
     total = np.zeros((n, (2 * k + 1) ** 3))
     for model, seen in zip(models, maps, strict=True):
         if seen is not None:
@@ -160,13 +171,15 @@ def from_volume(
     return best_points(total, centres, spacing, k, False)
 
 
-def within_person(points: FloatArray) -> FloatArray:
-    """Keypoints (n_keypoints, 3) with those that cannot be of the same person as most taken out (NaN).
+def within_person(points: FloatArray, sure: NDArray[np.bool_] | None = None) -> FloatArray:
+    """Return keypoints (n_keypoints, 3) with those that cannot be of the same person as most taken out (NaN).
 
-    The gate: within ``PERSON_RADIUS`` of the median. A bystander that one camera pair agrees on is beyond.
+    The gate: within ``PERSON_RADIUS`` of the median, of those that are ``sure`` (n_keypoints,) where any are.
+    A bystander that one camera pair agrees on is beyond.
     """
-    if not np.isfinite(points).any():
+    known = points if sure is None else points[sure]
+    if not np.isfinite(known).any():
         return points
-    middle = np.nanmedian(points, axis=0)
+    middle = np.nanmedian(known, axis=0)
     apart = np.linalg.norm(points - middle, axis=1)
     return np.where((apart < PERSON_RADIUS)[:, None], points, np.nan)

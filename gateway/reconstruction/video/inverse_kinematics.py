@@ -57,7 +57,7 @@ class VideoBodyPose(NamedTuple):
 
 
 def video_body(skeleton: Skeleton, markers: BodyMarkers) -> VideoBody:
-    """The arrays of a body. Raises ``SettingsError`` when it lacks segments."""
+    """Return the arrays of a body. Raises ``SettingsError`` when it lacks segments."""
     points = [point for _, point in skeleton.contacts]
     return VideoBody(
         body_model(skeleton, markers),
@@ -107,7 +107,7 @@ def solve(body: VideoBody, goal: Goal, R: FloatArray, root: FloatArray, longest:
 def orientation_sigmas(
     body: VideoBody, candidates: FloatArray, weights: FloatArray, pose: VideoBodyPose, stiffness: float
 ) -> FloatArray:
-    """(S,) rad: standard deviation of every segment's orientation, about all axes together.
+    """Return (S,) rad: standard deviation of every segment's orientation, about all axes together.
 
     The inverse of the normal equations at the pose, in the 40 degrees of freedom, with the spread of the
     candidates (n_keypoints, 3) m about the body where it is more than ``markers.sigmas`` promise. weights:
@@ -134,7 +134,7 @@ def orientation_sigmas(
 
 @compiled
 def _variance(model: BodyModel, candidates: FloatArray, weights: FloatArray, places: FloatArray) -> float:
-    """How much farther candidates are from the body than they should be, squared; 1 at the least."""
+    """Return how much farther candidates are from the body than they should be, squared; 1 at the least."""
     total, n = 0.0, 0
     for m in range(len(candidates)):
         if weights[m] > 0.0 and np.isfinite(candidates[m, 0]):
@@ -148,7 +148,7 @@ def _variance(model: BodyModel, candidates: FloatArray, weights: FloatArray, pla
 def _equations(
     body: VideoBody, goal: Goal, R: FloatArray, root: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """H (whole), g and the cost of a pose, in the changes of ``optical.kernels``."""
+    """Return H (whole), g and the cost of a pose, in the changes of ``optical.kernels``."""
     model, targets, weights = body.model, goal.targets, goal.weights
     p = kernels.places(model.parents, model.offsets, R, root)
     H, g, cost = normal_equations(model, targets, weights, R, p)

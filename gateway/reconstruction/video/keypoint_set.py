@@ -61,7 +61,7 @@ class KeypointSet:
 
 
 def load_keypoint_set(name: str) -> KeypointSet:
-    """A keypoint set by name (``blazepose_33``, ``openpose_18``) or path. Raises ``SettingsError``."""
+    """Return a keypoint set by name (``blazepose_33``, ``openpose_18``) or path. Raises ``SettingsError``."""
     path = find_file(name, "keypoint_sets")
     file = load_settings(path, KeypointSetFile)
     skeleton = load_body(file.body, path)
@@ -82,7 +82,8 @@ def load_keypoint_set(name: str) -> KeypointSet:
 
 
 def _shown(skeleton: Skeleton, markers: BodyMarkers, entries: list[KeypointEntry]) -> NDArray[np.bool_]:
-    """A keypoint at a joint tells how the segment lies that ends there; one beside it its own segment."""
+    """Tell which segments keypoints show. A keypoint at a joint tells how the segment lies that ends there;
+    one beside it its own segment."""
     shows = np.zeros((len(entries), skeleton.n_segments), dtype=bool)
     for n, (segment, place, entry) in enumerate(
         zip(markers.segments.tolist(), markers.positions, entries, strict=True)

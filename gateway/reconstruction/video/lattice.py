@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.video.projection import CameraModel, pixel
+from gateway.reconstruction.video.projection import CameraModel
 
 Maps = NDArray[np.float32]
 _NEARER = 0.01
@@ -41,7 +41,7 @@ class Lattices(NamedTuple):
 
 @compiled
 def bilinear(values: Maps, column: float, row: float) -> float:
-    """A map (rows, columns) between its values; 0 outside it."""
+    """Return a map (rows, columns) between its values; 0 outside it."""
     rows, columns = values.shape
     if not (0.0 <= column <= columns - 1.0 and 0.0 <= row <= rows - 1.0):
         return 0.0
@@ -55,7 +55,7 @@ def bilinear(values: Maps, column: float, row: float) -> float:
 
 @compiled
 def smooth(values: Maps, column: float, row: float) -> float:
-    """A map (rows, columns) under a quadratic B-spline, nine values wide; 0 outside it.
+    """Return a map (rows, columns) under a quadratic B-spline, nine values wide; 0 outside it.
 
     Bilinear values have their maxima at the middles of cells, which are centimetres apart: the fine lattice
     would follow the cells.
@@ -80,15 +80,15 @@ def add_likelihood(total: FloatArray, view: View, lattices: Lattices, is_fine: b
     total: (n_keypoints, (2 k + 1)³), x slowest, changed. is_fine: by ``smooth`` values, else ``bilinear``
     ones.
     """
-    camera, maps, affine = view.camera, view.maps, view.affine
+    maps, R = view.maps, view.camera.rotation
     centres, spacing, k = lattices.centres, lattices.spacing, lattices.k
     n = 2 * k + 1
-    R = camera.rotation
+    columns, rows = np.empty(n), np.empty(n)
     for m in range(len(centres)):
         if not np.isfinite(centres[m, 0]):
             continue
-        s = spacing[m]
-        start = camera.translation.copy()
+        s, values = spacing[m], maps[m]
+        start = view.camera.translation.copy()
         for i in range(3):
             for j in range(3):
                 start[i] += R[i, j] * (centres[m, j] - k * s)
@@ -98,22 +98,47 @@ def add_likelihood(total: FloatArray, view: View, lattices: Lattices, is_fine: b
                 x = start[0] + s * (a * R[0, 0] + b * R[0, 1])
                 y = start[1] + s * (a * R[1, 0] + b * R[1, 1])
                 z = start[2] + s * (a * R[2, 0] + b * R[2, 1])
+                _cells_of_line(columns, rows, view, (x, y, z), s)
                 for c in range(n):
-                    u, v = pixel(camera, x + s * c * R[0, 2], y + s * c * R[1, 2], z + s * c * R[2, 2])
-                    column = affine[0, 0] * u + affine[0, 1] * v + affine[0, 2]
-                    row = affine[1, 0] * u + affine[1, 1] * v + affine[1, 2]
                     if is_fine:
-                        total[m, at] += smooth(maps[m], column, row)
+                        total[m, at] += smooth(values, columns[c], rows[c])
                     else:
-                        total[m, at] += bilinear(maps[m], column, row)
+                        total[m, at] += bilinear(values, columns[c], rows[c])
                     at += 1
+
+
+@compiled
+def _cells_of_line(
+    columns: FloatArray, rows: FloatArray, view: View, first: tuple[float, float, float], spacing: float
+) -> None:
+    """Find the columns and rows (n,), changed, of n points in a line along the world's z axis.
+
+    first: in camera axes, m. The steps are those of ``projection.pixel`` and of the affine, without a branch
+    and with every constant at hand, so that the points of a line are computed together.
+    """
+    k, d, A, R = view.camera.matrix, view.camera.distortion, view.affine, view.camera.rotation
+    k00, k01, k02, k11, k12 = k[0, 0], k[0, 1], k[0, 2], k[1, 1], k[1, 2]
+    d0, d1, d2, d3, d4 = d[0], d[1], d[2], d[3], d[4]
+    a00, a01, a02, a10, a11, a12 = A[0, 0], A[0, 1], A[0, 2], A[1, 0], A[1, 1], A[1, 2]
+    r02, r12, r22 = R[0, 2], R[1, 2], R[2, 2]
+    x0, y0, z0 = first
+    for c in range(len(columns)):
+        depth = z0 + spacing * c * r22
+        x, y = (x0 + spacing * c * r02) / depth, (y0 + spacing * c * r12) / depth
+        square = x * x + y * y
+        radial = 1.0 + square * (d0 + square * (d1 + square * d4))
+        u = x * radial + 2.0 * d2 * x * y + d3 * (square + 2.0 * x * x)
+        v = y * radial + d2 * (square + 2.0 * y * y) + 2.0 * d3 * x * y
+        u, v = k00 * u + k01 * v + k02, k11 * v + k12
+        columns[c] = a00 * u + a01 * v + a02 if depth > 0.0 else np.nan
+        rows[c] = a10 * u + a11 * v + a12
 
 
 @compiled
 def best_points(
     total: FloatArray, centres: FloatArray, spacing: FloatArray, k: int, cluster: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """The candidates (n_keypoints, 3) m of lattices, and their summed PCM (n_keypoints,).
+    """Return the candidates (n_keypoints, 3) m of lattices, and their summed PCM (n_keypoints,).
 
     cluster: by the sum over a point and its six neighbours (then only inner points count). Between the
     points of the lattice the maximum is that of a parabola along each axis. Of points as likely as each
@@ -139,7 +164,7 @@ def best_points(
 
 @compiled
 def _nearer_preferred(total: FloatArray, k: int) -> FloatArray:
-    """Sums (n, n, n) less what being away from the middle costs."""
+    """Return sums (n, n, n) less what being away from the middle costs."""
     score = total.copy()
     for a in range(len(score)):
         for b in range(len(score)):
@@ -150,7 +175,7 @@ def _nearer_preferred(total: FloatArray, k: int) -> FloatArray:
 
 @compiled
 def _clustered(score: FloatArray) -> FloatArray:
-    """Sums over a point and its six neighbours; minus infinity on the faces of the lattice."""
+    """Return sums over a point and its six neighbours; minus infinity on the faces of the lattice."""
     n = len(score)
     sums = np.full((n, n, n), -np.inf)
     for a in range(1, n - 1):
@@ -167,7 +192,8 @@ def _clustered(score: FloatArray) -> FloatArray:
 
 @compiled
 def _vertex(score: FloatArray, place: tuple[int, int, int], axis: int, n: int) -> float:
-    """Where the parabola through a maximum and its neighbours along one axis is highest, -0.5 to 0.5."""
+    """Return where the parabola through a maximum and its neighbours along one axis is highest, -0.5 to
+    0.5."""
     if not 0 < place[axis] < n - 1:
         return 0.0
     a, b, c = place

@@ -28,11 +28,11 @@ class LowPass:
         self._states: FloatArray | None = None
 
     def reset(self) -> None:
-        """The next value counts as the first."""
+        """Take the next value for the first."""
         self._states = None
 
     def add(self, values: FloatArray) -> FloatArray:
-        """The smoothed values (any shape), which belong to ``DELAY`` values before."""
+        """Return the smoothed values (any shape), which belong to ``DELAY`` values before."""
         flat = values.reshape(1, -1)
         if self._states is None:
             self._states = sosfilt_zi(self._sections)[:, :, None] * flat

@@ -15,7 +15,8 @@ from gateway.reconstruction.video.lattice import Maps
 def without_others(
     camera: Camera, maps: CameraHeatMaps, own: FloatArray, others: Sequence[FloatArray]
 ) -> CameraHeatMaps:
-    """The maps with zero wherever another person's same keypoint is expected nearer by than the own one.
+    """Return the maps with zero wherever another person's same keypoint is expected nearer by than the own
+    one.
 
     own, others: (n_keypoints, 3) m, expected in this frame.
     """

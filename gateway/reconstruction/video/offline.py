@@ -40,7 +40,7 @@ def reconstruct_recorded(
     options: VideoOptions | None = None,
     advanced: Callable[[], object] = lambda: None,
 ) -> list[SkeletonFrame]:
-    """The smoothed pose of every frame, with the same lengths in all.
+    """Return the smoothed pose of every frame, with the same lengths in all.
 
     frames: in the order of time; each is asked for more than once, so they may come from a file. advanced:
     called twice for every frame, for a progress bar.
@@ -88,7 +88,8 @@ def _run(
 
 
 def _merged(forward: _Run, backward: _Run) -> list[Sighting]:
-    """For every frame and keypoint the candidate of the run that sees it, the likelier one where both do."""
+    """Return for every frame and keypoint the candidate of the run that sees it, the likelier one where both
+    do."""
     there = np.stack([sighting.candidates for sighting in forward.sightings])
     back = np.stack([sighting.candidates for sighting in backward.sightings])
     likely = np.stack([np.where(s.lost, 0.0, s.likelihood) for s in forward.sightings])
@@ -104,7 +105,8 @@ def _merged(forward: _Run, backward: _Run) -> list[Sighting]:
 
 
 def _bridged(lost: NDArray[np.bool_], there: FloatArray, back: FloatArray) -> FloatArray:
-    """(F, n_keypoints, 3) m: over every stretch of lost frames (F, n_keypoints) from one run to the other."""
+    """Return (F, n_keypoints, 3) m: over every stretch of lost frames (F, n_keypoints) from one run to the
+    other."""
     bridged = np.full_like(there, np.nan)
     for m in range(lost.shape[1]):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], lost[:, m].astype(int), [0]])))

@@ -27,7 +27,7 @@ short, nothing looks long."""
 
 
 def from_floor(model: CameraModel, maps: CameraHeatMaps, names: Sequence[str], floor: float) -> FloatArray:
-    """Keypoints (n_keypoints, 3) m; NaN for all without a foot in sight, or with few keypoints.
+    """Return keypoints (n_keypoints, 3) m; NaN for all without a foot in sight, or with few keypoints.
 
     floor: its height, m.
     """
@@ -47,8 +47,8 @@ def from_floor(model: CameraModel, maps: CameraHeatMaps, names: Sequence[str], f
 def _nearest_foot(
     position: FloatArray, directions: FloatArray, sure: NDArray[np.bool_], names: Sequence[str], floor: float
 ) -> FloatArray | None:
-    """Where the ray through the lowest keypoint of a foot meets the floor, (3,) m: the other may be lifted,
-    and then seems farther away."""
+    """Return where the ray through the lowest keypoint of a foot meets the floor, (3,) m: the other may be
+    lifted, and then seems farther away."""
     places = []
     for row, name in enumerate(names):
         height = FEET.get(name.partition("_")[2])
@@ -61,7 +61,8 @@ def _nearest_foot(
 
 
 def lengths_shown(lengths: FloatArray, standard: FloatArray) -> FloatArray:
-    """(n_parts,) m of a person whose parts look as long as ``lengths``: the standard ones times a ratio."""
+    """Return (n_parts,) m of a person whose parts look as long as ``lengths``: the standard ones times a
+    ratio."""
     ratios = lengths / standard
     known = ratios[np.isfinite(ratios)]
     return standard * (float(np.percentile(known, _SHOWN)) if known.size else 1.0)

@@ -28,7 +28,7 @@ def skeleton_frame(
     sequence: int, time_ns: int, body: VideoBody, pose: VideoBodyPose, sigma: FloatArray,
     status: NDArray[np.uint8],
 ) -> SkeletonFrame:  # fmt: skip
-    """A pose as it is; rates and accelerations are not known (NaN). sigma: (S,) rad."""
+    """Return a pose as it is; rates and accelerations are not known (NaN). sigma: (S,) rad."""
     n = len(body.model.parents)
     unknown = np.full((n, 3), np.nan)
     return SkeletonFrame(
@@ -39,7 +39,7 @@ def skeleton_frame(
 
 
 def no_frame(sequence: int, time_ns: int, n_segments: int) -> SkeletonFrame:
-    """Of an instant at which nobody was found."""
+    """Return the frame of an instant at which nobody was found."""
     unknown = np.full((n_segments, 3), np.nan)
     return SkeletonFrame(
         sequence, time_ns, np.full((n_segments, 4), np.nan), unknown, unknown.copy(), unknown.copy(),
@@ -48,8 +48,8 @@ def no_frame(sequence: int, time_ns: int, n_segments: int) -> SkeletonFrame:
 
 
 def statuses(shows: NDArray[np.bool_], lost: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """(n_segments,): measured where a keypoint that was found tells the segment's orientation, held where
-    nothing was found at all, else predicted from the rest of the body.
+    """Return (n_segments,): measured where a keypoint that was found tells the segment's orientation, held
+    where nothing was found at all, else predicted from the rest of the body.
 
     shows: (n_keypoints, n_segments); lost: (n_keypoints,).
     """
@@ -68,7 +68,7 @@ class SmoothedPoses:
         self._waiting: deque[tuple[SkeletonFrame, VideoBodyPose]] = deque(maxlen=DELAY + 1)
 
     def reset(self) -> None:
-        """The next pose counts as the first."""
+        """Take the next pose for the first."""
         self._low_pass.reset()
         self._rates.reset()
         self._waiting.clear()
@@ -76,7 +76,7 @@ class SmoothedPoses:
     def add(
         self, newest: SkeletonFrame, body: VideoBody, pose: VideoBodyPose, floor: float
     ) -> SkeletonFrame | None:
-        """The smoothed frame of ``DELAY`` poses before; None until there are as many."""
+        """Return the smoothed frame of ``DELAY`` poses before; None until there are as many."""
         targets = self._low_pass.add(keypoint_places(body.model, pose.R, pose.root))
         self._waiting.append((newest, pose))
         if len(self._waiting) <= DELAY:
@@ -84,7 +84,8 @@ class SmoothedPoses:
         return self._smooth(targets, body, floor)
 
     def rest(self, body: VideoBody, floor: float) -> list[SkeletonFrame]:
-        """After the last pose: the frames that still wait, the last pose standing for those after it."""
+        """Return, after the last pose, the frames that still wait, the last pose standing for those after
+        it."""
         if not self._waiting:
             return []
         last = self._waiting[-1][1]

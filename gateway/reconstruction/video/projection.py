@@ -26,7 +26,7 @@ class CameraModel(NamedTuple):
 
 
 def camera_model(camera: Camera) -> CameraModel:
-    """The arrays of a camera, contiguous."""
+    """Return the arrays of a camera, contiguous."""
     arrays = (camera.matrix, camera.distortion, camera.rotation, camera.translation, camera.position)
     return CameraModel(*(np.ascontiguousarray(array, dtype=np.float64) for array in arrays))
 
@@ -47,7 +47,8 @@ def pixel(camera: CameraModel, x: float, y: float, z: float) -> tuple[float, flo
 
 @compiled
 def undistorted(camera: CameraModel, u: float, v: float) -> tuple[float, float]:
-    """(x, y) at depth 1 in camera axes of a pixel of the distorted picture, by fixed-point iteration."""
+    """Return (x, y) at depth 1 in camera axes of a pixel of the distorted picture, by fixed-point
+    iteration."""
     k, d = camera.matrix, camera.distortion
     y0 = (v - k[1, 2]) / k[1, 1]
     x0 = (u - k[0, 2] - k[0, 1] * y0) / k[0, 0]
@@ -63,7 +64,7 @@ def undistorted(camera: CameraModel, u: float, v: float) -> tuple[float, float]:
 
 @compiled
 def ray(camera: CameraModel, u: float, v: float) -> FloatArray:
-    """Unit direction (3,), world axes, of the ray through a pixel of the distorted picture."""
+    """Return the unit direction (3,), world axes, of the ray through a pixel of the distorted picture."""
     x, y = undistorted(camera, u, v)
     direction = np.empty(3)
     for i in range(3):

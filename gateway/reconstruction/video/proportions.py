@@ -36,7 +36,8 @@ LARGEST_DEVIATION = 1.6
 
 
 def part_lengths(keypoints: KeypointSet, points: FloatArray) -> FloatArray:
-    """(n_parts,) m, in the order of ``PARTS``; NaN where the keypoints (n_keypoints, 3) are not there."""
+    """Return (n_parts,) m, in the order of ``PARTS``; NaN where the keypoints (n_keypoints, 3) are not
+    there."""
     place = {name: points[n] for n, name in enumerate(keypoints.names)}
 
     def between(a: str, b: str) -> float:
@@ -56,14 +57,15 @@ def part_lengths(keypoints: KeypointSet, points: FloatArray) -> FloatArray:
 
 
 def standard_lengths(keypoints: KeypointSet) -> FloatArray:
-    """The same of the standard skeleton in neutral posture."""
+    """Return the same of the standard skeleton in neutral posture."""
     body = video_body(keypoints.skeleton, keypoints.markers)
     R = np.tile(quaternion.to_matrix(keypoints.skeleton.neutral), (keypoints.skeleton.n_segments, 1, 1))
     return part_lengths(keypoints, keypoint_places(body.model, R, np.zeros(3)))
 
 
 def sized(keypoints: KeypointSet, lengths: FloatArray) -> tuple[Skeleton, BodyMarkers]:
-    """The standard skeleton and its keypoints with the parts' lengths (n_parts,) m; NaN: as the others.
+    """Return the standard skeleton and its keypoints with the parts' lengths (n_parts,) m; NaN: as the
+    others.
 
     Lengths that cannot belong to the same person as most are taken as not known.
     """
@@ -88,7 +90,8 @@ def sized(keypoints: KeypointSet, lengths: FloatArray) -> tuple[Skeleton, BodyMa
 
 
 def _segment_scale(segment: str, ratio: dict[str, float], whole: float) -> FloatArray:
-    """(3,) by which a segment, with all that hangs on it, is longer than the standard along its axes."""
+    """Return (3,) by which a segment, with all that hangs on it, is longer than the standard along its
+    axes."""
     part = segment.removeprefix("left_").removeprefix("right_")
     if segment == "pelvis":
         return np.array([ratio["trunk"], ratio["trunk"], ratio["hips"]])

@@ -9,7 +9,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.body.skeleton import Skeleton, WornSuit
+from gateway.body.rig import WorldSettings, worn_without_modules
+from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
 from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame
 from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
@@ -19,7 +20,14 @@ from gateway.reconstruction.video.region import PersonRegion
 from gateway.reconstruction.video.regions import person_region
 from gateway.reconstruction.video.tracker import KeypointTracker, VideoOptions
 
-__all__ = ["Tracking", "VideoOptions", "VideoPose", "VideoReconstructor", "video_reconstructor"]
+__all__ = [
+    "Tracking",
+    "VideoOptions",
+    "VideoPose",
+    "VideoReconstructor",
+    "video_reconstructor",
+    "worn_person",
+]
 
 
 class Tracking(IntEnum):
@@ -92,11 +100,11 @@ class VideoReconstructor:
         return self.expected_after(1)
 
     def expected_after(self, frames: int) -> FloatArray | None:
-        """(n_keypoints, 3) m, where they will be so many frames later; None: no person is known."""
+        """Return (n_keypoints, 3) m, where they will be so many frames later; None: no person is known."""
         return None if self.tracker.pose is None else self.tracker.expected_after(frames)
 
     def update(self, frame: HeatMapFrame) -> VideoPose:
-        """The pose of one instant. Without any maps the last pose is held; before the first, NaN."""
+        """Return the pose of one instant. Without any maps the last pose is held; before the first, NaN."""
         sighting = self.tracker.track(frame.cameras)
         pose = self.tracker.pose
         if pose is None:
@@ -122,7 +130,7 @@ class VideoReconstructor:
         )
 
     def finish(self) -> list[SkeletonFrame]:
-        """The smoothed frames that were still to come when the last pictures had been seen."""
+        """Return the smoothed frames that were still to come when the last pictures had been seen."""
         return self._smoothed.rest(self.tracker.body, self.tracker.floor)
 
     def _nobody(self, frame: HeatMapFrame) -> VideoPose:
@@ -134,6 +142,11 @@ class VideoReconstructor:
             no_frame(frame.sequence, frame.time_ns, self.skeleton.n_segments), None, unknown, unknown.copy(),
             np.zeros(n), np.full(n, Tracking.LOST, dtype=np.uint8), tuple(None for _ in self.cameras),
         )  # fmt: skip
+
+
+def worn_person(person: KeypointSet, video: VideoSetUp) -> WornSuit:
+    """Return what a gateway needs of a person whose lengths are known, before those cameras."""
+    return replace(worn_without_modules(person.skeleton, person.markers, WorldSettings()), video=video)
 
 
 def video_reconstructor(suit: WornSuit) -> VideoReconstructor:

@@ -32,8 +32,8 @@ class PersonRegion:
     """rad, a multiple of 30°: how far the trunk is turned clockwise, as the picture is seen, from upright."""
 
     def affine(self, pixels: int) -> FloatArray:
-        """(2, 3): pixel (x, y, 1) of the picture to pixel of a crop of ``pixels`` × ``pixels``; pixel (0, 0)
-        is the middle of the upper left one."""
+        """Return (2, 3): pixel (x, y, 1) of the picture to pixel of a crop of ``pixels`` × ``pixels``; pixel
+        (0, 0) is the middle of the upper left one."""
         scale = pixels / self.size
         c, s = scale * np.cos(self.roll), scale * np.sin(self.roll)
         A = np.array([[c, s, 0.0], [-s, c, 0.0]], dtype=np.float64)
@@ -42,8 +42,8 @@ class PersonRegion:
 
 
 def upright_region(hips: FloatArray, shoulders: FloatArray, radius: float) -> PersonRegion:
-    """The region of a person: hips and shoulders (2,) are the middles of either, pixels; radius: of the
-    circle about the hips that holds the whole person, pixels."""
+    """Return the region of a person: hips and shoulders (2,) are the middles of either, pixels; radius: of
+    the circle about the hips that holds the whole person, pixels."""
     trunk = shoulders - hips
     roll = float(np.round(np.arctan2(trunk[0], -trunk[1]) / ROLL_STEP) * ROLL_STEP)
     return PersonRegion(hips, max(2.0 * ROOM * radius, _LEAST_PIXELS), roll)
@@ -52,8 +52,8 @@ def upright_region(hips: FloatArray, shoulders: FloatArray, radius: float) -> Pe
 def region_of_points(
     points: FloatArray, likelihood: FloatArray, keypoints: Sequence[str]
 ) -> PersonRegion | None:
-    """The region of a person whose keypoints are at ``points`` (n, 2), pixels; NaN or a low likelihood (n,)
-    counts as not seen. None when too little of the trunk, or of the person, is seen."""
+    """Return the region of a person whose keypoints are at ``points`` (n, 2), pixels; NaN or a low likelihood
+    (n,) counts as not seen. None when too little of the trunk, or of the person, is seen."""
     seen = np.isfinite(points).all(axis=1) & (likelihood >= _LEAST_LIKELIHOOD)
     if seen.sum() < _FEWEST:
         return None
@@ -67,13 +67,13 @@ def region_of_points(
 
 
 def region_of_maps(maps: CameraHeatMaps, keypoints: Sequence[str]) -> PersonRegion | None:
-    """The region of the person for the next picture, by the peaks of this one's heat maps."""
+    """Return the region of the person for the next picture, by the peaks of this one's heat maps."""
     points, likelihood = peaks(maps)
     return region_of_points(points, likelihood, keypoints)
 
 
 def peaks(maps: CameraHeatMaps) -> tuple[FloatArray, FloatArray]:
-    """Where every keypoint is likeliest, (n, 2) pixels of the picture, and how likely, (n,)."""
+    """Return where every keypoint is likeliest, (n, 2) pixels of the picture, and how likely, (n,)."""
     n, _, columns = maps.likelihood.shape
     flat = maps.likelihood.reshape(n, -1)
     best = flat.argmax(axis=1)

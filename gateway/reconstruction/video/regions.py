@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from devices.cameras.orders import Square
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.camera import Camera, project
 from gateway.reconstruction.video.region import PersonRegion, region_of_points
@@ -14,11 +15,19 @@ _LEAST_SHARE = 0.4
 """Of the keypoints, that must be in the picture for the camera to count as seeing the person."""
 
 
+def square_of(region: PersonRegion | None) -> Square | None:
+    """Return a region as cameras are told of it."""
+    if region is None:
+        return None
+    x, y = region.centre.tolist()
+    return x, y, region.size, region.roll
+
+
 def person_region(
     camera: Camera, keypoints: FloatArray, names: Sequence[str], *, must_see: bool = True
 ) -> PersonRegion | None:
-    """The region of a person with keypoints (n_keypoints, 3) m of those names; None: the camera does not see
-    the person, and is left out.
+    """Return the region of a person with keypoints (n_keypoints, 3) m of those names; None: the camera does
+    not see the person, and is left out.
 
     must_see: None too where most of the person is beyond the picture's border.
     """

@@ -22,7 +22,7 @@ _LIKELIER = 0.5
 
 
 def pairs_of(names: Sequence[str]) -> IntArray:
-    """(n_pairs, 2) rows of keypoints that are each other's left and right: left first."""
+    """Return (n_pairs, 2) rows of keypoints that are each other's left and right: left first."""
     mirrored = {name: name.replace("left", "right") for name in names if "left" in name}
     pairs = [(names.index(left), names.index(right)) for left, right in mirrored.items() if right in names]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
@@ -34,7 +34,7 @@ def sides_put_right(
     expected: FloatArray,
     pairs: IntArray,
 ) -> list[CameraHeatMaps | None]:
-    """The maps with left and right exchanged where a camera has taken them for each other.
+    """Return the maps with left and right exchanged where a camera has taken them for each other.
 
     expected: (n_keypoints, 3) m, where the body will have its keypoints; pairs: see ``pairs_of``.
     """
@@ -53,7 +53,7 @@ def sides_put_right(
 def _gains(
     camera: CameraModel, maps: Maps, affine: FloatArray, expected: FloatArray, pairs: IntArray
 ) -> FloatArray:
-    """(n_pairs,) by how much likelier a pair is the other way round."""
+    """Return (n_pairs,) by how much likelier a pair is the other way round."""
     gains = np.zeros(len(pairs))
     for n in range(len(pairs)):
         for side in range(2):
@@ -68,7 +68,7 @@ def _gains(
 
 @compiled
 def _seen(camera: CameraModel, point: FloatArray) -> tuple[float, float, float]:
-    """A point of the world (3,) m in camera axes."""
+    """Return a point of the world (3,) m in camera axes."""
     R, t = camera.rotation, camera.translation
     x = R[0, 0] * point[0] + R[0, 1] * point[1] + R[0, 2] * point[2] + t[0]
     y = R[1, 0] * point[0] + R[1, 1] * point[1] + R[1, 2] * point[2] + t[1]

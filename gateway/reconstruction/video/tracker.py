@@ -46,7 +46,6 @@ TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
 _BELOW_FLOOR = 0.25
 """Of the lowest keypoint at the start, from which the floor told cannot be the person's, m."""
 _VOLUME_CELL = 0.08
-_VOLUME_HALF_WIDTH = 0.4
 _STEPS = 8
 _FIRST_STEPS = 40
 
@@ -60,12 +59,6 @@ class VideoOptions:
 
     floor_m: float | None = 0.0
     """Height of the floor; None: there is none."""
-    cluster: bool = True
-    """Candidates by 7-point clusters, else by single points."""
-    weighted: bool = True
-    """Inverse kinematics weighted by the summed PCM, else uniformly."""
-    use_dlt: bool = False
-    """First positions over all cameras, else by the closest pair of rays."""
     is_measured: bool = False
     """Whether the keypoint set's skeleton is this person's already; else its lengths follow from the first
     frames."""
@@ -123,19 +116,24 @@ class KeypointTracker:
         self._settled = True
 
     @property
+    def is_settled(self) -> bool:
+        """Whether the lengths of the body are known, and change no more."""
+        return self._settled
+
+    @property
     def places(self) -> FloatArray:
         """(n_keypoints, 3) m, where the body has its keypoints. Only with a pose."""
         assert self.pose is not None
         return keypoint_places(self.body.model, self.pose.R, self.pose.root)
 
     def expected_after(self, frames: int) -> FloatArray:
-        """(n_keypoints, 3) m, where they will be so many frames later, going on as they went."""
+        """Return (n_keypoints, 3) m, where they will be so many frames later, going on as they went."""
         if len(self._places) < 2:
             return self.places
         return self._places[-1] + frames * (self._places[-1] - self._places[-2])
 
     def put_right(self, maps: CameraMaps) -> CameraMaps:
-        """The maps with left and right exchanged where a camera has taken them for each other."""
+        """Return the maps with left and right exchanged where a camera has taken them for each other."""
         if self.pose is None:
             return maps
         return sides_put_right(self._models, maps, self.expected_after(1), self._pairs)
@@ -157,28 +155,28 @@ class KeypointTracker:
     def solve(self, sighting: Sighting, steps: int = _STEPS) -> None:
         """Inverse kinematics from the last pose, which what is not seen is drawn to."""
         assert self.pose is not None
-        weights = sighting.likelihood if self.options.weighted else np.ones(len(sighting.likelihood))
         held = Held(self.pose.R, HELD_SIGMA**-2)
-        goal = Goal(sighting.candidates, np.where(sighting.lost, 0.0, weights), held, self.floor)
+        goal = Goal(sighting.candidates, np.where(sighting.lost, 0.0, sighting.likelihood), held, self.floor)
         self.pose = solve(self.body, goal, self.pose.R, self.pose.root, steps)
 
     def orientation_sigmas(self, sighting: Sighting) -> FloatArray:
-        """(S,) rad of the last pose, by what is seen of it."""
+        """Return (S,) rad of the last pose, by what is seen of it."""
         assert self.pose is not None
         weights = np.where(sighting.lost, 0.0, sighting.likelihood)
         return orientation_sigmas(self.body, sighting.candidates, weights, self.pose, HELD_SIGMA**-2)
 
     def _first(self, maps: CameraMaps) -> Sighting:
-        """A person from nothing but maps: rays, what they leave open from the volume, and a first pose."""
+        """Find a person from nothing but maps: rays, what they leave open from the volume, and a first
+        pose."""
         n = len(self.keypoints.names)
         nobody = Sighting(np.full((n, 3), np.nan), np.zeros(n))
         if len(maps) == 1:
             return self._first_alone(maps) or nobody
         if sum(seen is not None for seen in maps) < 2:
             return nobody
-        points, _ = initial.from_rays(self._models, maps, self.options.use_dlt)
+        points, _ = initial.from_rays(self._models, maps)
         points = initial.within_person(points)
-        if np.isfinite(points).any() and np.isnan(points[self._trunk, 0]).sum() > 1:
+        if np.isnan(points[self._trunk, 0]).sum() > 1:
             points = self._completed(maps, points)
         if np.isnan(points[self._trunk, 0]).sum() > 1:
             return nobody
@@ -186,7 +184,7 @@ class KeypointTracker:
         return self._search(maps)
 
     def _first_alone(self, maps: CameraMaps) -> Sighting | None:
-        """The same with one camera: depth by the floor, one ratio for all lengths."""
+        """Do the same with one camera: depth by the floor, one ratio for all lengths."""
         if maps[0] is None or not np.isfinite(self.floor):
             return None
         points = one_camera.from_floor(self._models[0], maps[0], self.keypoints.names, self.floor)
@@ -200,15 +198,24 @@ class KeypointTracker:
         return self._search(maps)
 
     def _completed(self, maps: CameraMaps, points: FloatArray) -> FloatArray:
-        """Points, those that rays did not give by the best cell of the volume about the others."""
-        centre = np.nanmedian(points, axis=0)
-        cells, likely = initial.from_volume(self._models, maps, centre, _VOLUME_HALF_WIDTH, _VOLUME_CELL)
+        """Return points, those of the trunk by the best cells of what the cameras' maps show together, and
+        others where they can be of the same person."""
+        centre = initial.middle_of_views(self._models, maps)
+        if not np.isfinite(centre).all():
+            return points
+        is_trunk = np.zeros(len(points), dtype=np.bool_)
+        is_trunk[self._trunk] = True
+        cells, likely = initial.from_volume(
+            self._models, maps, centre, initial.PERSON_RADIUS, _VOLUME_CELL, is_trunk
+        )
         n_cameras = sum(seen is not None for seen in maps)
-        good = np.isnan(points[:, 0]) & (likely > LEAST_MEAN * n_cameras)
-        return np.where(good[:, None], cells, points)
+        good = is_trunk & (likely > LEAST_MEAN * n_cameras)
+        if good.sum() < len(self._trunk) - 1:
+            return points
+        return initial.within_person(np.where(good[:, None], cells, points), good)
 
     def _stand_up(self, points: FloatArray) -> None:
-        """The standard body laid over the points of the trunk, sized, and bent to all of them."""
+        """Lay the standard body over the points of the trunk, size it, and bend it to all of them."""
         if not self._settled:
             self._set_lengths(part_lengths(self.keypoints, points))
         lowest = float(np.nanmin(points[:, 2]))
@@ -222,7 +229,7 @@ class KeypointTracker:
         self.solve(Sighting(points, np.ones(len(points))), _FIRST_STEPS)
 
     def _search(self, maps: CameraMaps) -> Sighting:
-        """Both lattices, with inverse kinematics after each."""
+        """Search both lattices, with inverse kinematics after each."""
         wide = np.minimum(1 + self._missed, WIDEST).astype(np.float64)
         # one camera tells no depth: going on as it went, the body would leave for nowhere
         alone = sum(seen is not None for seen in maps) < 2
@@ -245,12 +252,12 @@ class KeypointTracker:
                 n_cameras += 1
                 view = lattice.View(model, seen.likelihood, seen.map_from_pixel)
                 lattice.add_likelihood(total, view, lattices, is_fine)
-        found, likelihood = lattice.best_points(total, centres, spacing, HALF_WIDTH, self.options.cluster)
+        found, likelihood = lattice.best_points(total, centres, spacing, HALF_WIDTH, True)
         found[likelihood < LEAST_MEAN * max(n_cameras, 1)] = np.nan
         return Sighting(found, likelihood)
 
     def _measure(self, sighting: Sighting) -> None:
-        """The lengths of the parts: medians over the frames so far."""
+        """Measure the lengths of the parts: medians over the frames so far."""
         self._lengths.append(part_lengths(self.keypoints, sighting.candidates))
         rows = np.array(self._lengths)
         known = np.isfinite(rows).any(axis=0)

@@ -1,6 +1,7 @@
 """Heat maps as bytes, and back."""
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,11 +10,12 @@ from hypothesis import strategies as st
 
 from devices.cameras.heat_map_messages import (
     FAINTEST,
+    FOUND_BY_CAMERA,
     LONGEST,
     HeatMapMessage,
     HeatMapReceiver,
+    camera_of,
     encode_heat_maps,
-    is_one_message,
     quantised,
     retimed,
 )
@@ -120,8 +122,22 @@ def test_a_name_without_end_is_refused():
         encode_heat_maps(message(camera="a" * 256))
 
 
-def test_one_whole_message_is_told_from_what_is_not():
+def test_whole_messages_are_told_from_what_is_not():
     message = encode_heat_maps(HeatMapMessage("a", "full", 1, 2, None, np.zeros((2, 3))))
-    assert is_one_message(message)
-    for other in (b"", message[:-1], message + b"x", message + message, b"x" + message[1:]):
-        assert not is_one_message(other)
+    assert camera_of(message) == "a"
+    assert camera_of(message + message) == "a"
+    for other in (b"", message[:-1], message + b"x", message + message[:-1], b"x" + message[1:]):
+        assert camera_of(other) is None
+
+
+def test_people_have_numbers_and_one_person_the_bytes_of_version_1():
+    one = encode_heat_maps(message())
+    assert one[4] == 1
+    for person, following in ((7, 1), (FOUND_BY_CAMERA + 3, 0), (0, 2)):
+        sent = encode_heat_maps(replace(message(), person=person, following=following))
+        assert sent[4] == 2
+        found = HeatMapReceiver().receive(sent)[0]
+        assert (found.person, found.following) == (person, following)
+        assert_same(found, message())
+    nobody = replace(message(), likelihood=None, person=7)
+    assert HeatMapReceiver().receive(encode_heat_maps(nobody))[0].person == 7

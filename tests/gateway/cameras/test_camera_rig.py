@@ -15,7 +15,8 @@ from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver, e
 from devices.cameras.pictures import CameraError, PictureInfo
 from gateway.body.camera import project
 from gateway.cameras.camera_process import CameraProcess, CameraTask
-from gateway.cameras.rig_of_cameras import check_agreement, people_in_common
+from gateway.cameras.people_matching import people_in_common
+from gateway.cameras.rig_of_cameras import check_agreement
 from gateway.cameras.serving import Outlet
 from gateway.cli.video import moment
 from gateway.errors import GatewayError

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
+from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver, encode_heat_maps, quantised
 from gateway.body.camera import project
-from gateway.cameras.consistency import consistency_of
+from gateway.cameras.consistency import consistency_of, in_step
 from gateway.cameras.synchronisation import synchronisation_of
 from gateway.errors import GatewayError
 from tests.ring_of_cameras import CAMERAS
@@ -67,6 +67,19 @@ def test_cameras_out_of_step_are_named_with_the_cure(late):
     )
 
 
+def test_cameras_are_put_in_step_by_what_is_found():
+    late = {"b": 2, "d": -3}
+    captured = messages(CAMERAS, late)
+    found = consistency_of(CAMERAS, captured)
+    shifted = in_step(captured, found.skipped)
+    assert len(shifted) == N - 5
+    read = [HeatMapReceiver().receive(message)[0] for message in shifted[7]]
+    assert {(each.sequence, each.time_ns) for each in read} == {(7, 7)}
+    after = consistency_of(CAMERAS, shifted)
+    assert after.offsets == {}
+    after.refuse_wrong(Path("c.yaml"))
+
+
 def test_a_camera_that_was_moved_is_named():
     moved = replace(CAMERAS[2], translation=CAMERAS[2].translation + np.array([0.5, 0.4, 0.0]))
     found = consistency_of([*CAMERAS[:2], moved, CAMERAS[3]], messages(CAMERAS))
@@ -110,5 +123,6 @@ def test_slow_motion_tells_in_spite_of_a_network_that_is_always_a_little_wrong(l
 def test_of_four_cameras_the_odd_one_is_named_though_it_is_the_first():
     told = consistency_of(CAMERAS, messages(CAMERAS, {"a": 5}))
     assert told.offsets == {"a": 5}
-    with pytest.raises(GatewayError, match=r"camera 'a' is 5 pictures behind the others .*: --offset a=5$"):
+    cure = r"camera 'a' is 5 pictures behind the others .*: --offset a=5, or --synchronise$"
+    with pytest.raises(GatewayError, match=cure):
         told.refuse_wrong(Path("c.yaml"))

@@ -87,6 +87,41 @@ def test_files_of_both_kinds_are_read(tmp_path: Path) -> None:
     assert not is_keypoints(str(tmp_path / "film.mp4"))
 
 
+def test_pictures_without_a_file_show_nobody(tmp_path: Path) -> None:
+    person = np.arange(51.0).reshape(17, 3)
+    folder = _folder(tmp_path / "a", [[person + f] for f in range(12)])
+    for missing in (0, 1, 5):
+        (folder / f"film2_{missing}_keypoints.json").unlink()
+    read = read_keypoints(folder)
+    assert (read.first, len(read.people)) == (2, 10)
+    assert [bool(each) for each in read.people] == [True] * 3 + [False] + [True] * 6
+    strided = _folder(tmp_path / "b", [])
+    for f in range(0, 60, 5):
+        (strided / f"{f}.json").write_text(json.dumps({"people": [{"keypoints": person.ravel().tolist()}]}))
+    assert len(read_keypoints(strided).people) == 12
+    for f in range(3):
+        (strided / f"{10**12 * (f + 1)}.json").write_text('{"people": []}')  # no numbers of pictures
+    assert len(read_keypoints(strided).people) == 15
+
+
+def test_a_camera_whose_first_pictures_show_nobody_stays_in_step(tmp_path: Path) -> None:
+    """COCO's results have no entry of a picture in which nobody is found."""
+    keypoint_set, layout = LAYOUTS[17]
+    keypoints = load_keypoint_set(keypoint_set)
+    person = walking(keypoints, FRAMES, (-0.1, 0.0), (0.8, 0.3))
+    read = []
+    for c in range(len(CAMERAS)):
+        entries = [
+            {"image_id": f, "keypoints": _found(person, c, f, layout, keypoints.names).ravel().tolist()}
+            for f in range(5 if c == 2 else 0, FRAMES)
+        ]
+        (tmp_path / f"{c}.json").write_text(json.dumps(entries))
+        read.append(read_keypoints(tmp_path / f"{c}.json"))
+    _, (messages,) = keypoint_messages(CAMERAS, read, {}, 60.0, 1)
+    assert len(messages) == FRAMES
+    assert [heat_map_frame(0, each).cameras[2] is None for each in messages] == [True] * 5 + [False] * 11
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [

@@ -32,7 +32,7 @@ class BlazePose:
         self._model = LiteModel(path, threads)
 
     def heat_maps(self, picture: Picture, region: PersonRegion) -> CameraHeatMaps:
-        """Of the person in the region."""
+        """Return the maps of the person in the region."""
         size = self._model.size
         map_to_crop = region.affine(size)
         crop = cropped(picture, map_to_crop, size)[:, :, ::-1].astype(np.float32) / np.float32(255)

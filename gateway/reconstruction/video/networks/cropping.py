@@ -10,7 +10,8 @@ from gateway.reconstruction.video.networks.network import Picture
 
 
 def cropped(picture: Picture, map_from_pixel: FloatArray, size: int) -> Picture:
-    """The square of ``size`` pixels that ``map_from_pixel`` (2, 3) takes the picture to; black outside.
+    """Return the square of ``size`` pixels that ``map_from_pixel`` (2, 3) takes the picture to; black
+    outside.
 
     What is shrunk to less than a half is averaged first: single pixels would stand for many.
     """
@@ -27,7 +28,8 @@ def cropped(picture: Picture, map_from_pixel: FloatArray, size: int) -> Picture:
 def _averaged(
     picture: Picture, map_from_pixel: FloatArray, size: int, factor: int
 ) -> tuple[Picture, FloatArray]:
-    """The part of the picture that is needed, shrunk by a whole factor, and the map from its pixels."""
+    """Return the part of the picture that is needed, shrunk by a whole factor, and the map from its
+    pixels."""
     inverse = cv2.invertAffineTransform(map_from_pixel)
     corners = np.array([[0, 0, 1], [size, 0, 1], [0, size, 1], [size, size, 1]]) @ inverse.T
     height, width = picture.shape[:2]
@@ -44,7 +46,7 @@ def _averaged(
 
 
 def shrunk_map(map_to_crop: FloatArray, factor: float, of_edge: bool) -> FloatArray:
-    """The map to cells of ``factor`` crop pixels each.
+    """Return the map to cells of ``factor`` crop pixels each.
 
     of_edge: cell c stands for the upper left edge of its pixels (as in networks that were trained with
     targets at coordinate / factor), else for their middle.

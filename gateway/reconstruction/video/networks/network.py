@@ -23,12 +23,12 @@ class PoseNetwork(Protocol):
         """Names of its heat maps."""
 
     def heat_maps(self, picture: Picture, region: PersonRegion) -> CameraHeatMaps:
-        """Of the one person that ``region`` shows."""
+        """Return the maps of the one person that ``region`` shows."""
 
 
 def load_network(name: str, threads: int = 1) -> PoseNetwork:
-    """The network ``name`` of ``NETWORKS``; threads: of one run. Raises ``GatewayError`` when it is unknown,
-    its weights are missing or damaged, or the extra ``video`` is not installed."""
+    """Return the network ``name`` of ``NETWORKS``; threads: of one run. Raises ``GatewayError`` when it is
+    unknown, its weights are missing or damaged, or the extra ``video`` is not installed."""
     weights = weights_of(name)
     path = weights.verified_path()
     if name == "openpose":

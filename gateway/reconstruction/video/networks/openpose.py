@@ -29,7 +29,7 @@ class OpenPose:
     keypoints = OPENPOSE
 
     def __init__(self, path: Path, threads: int = 1) -> None:
-        """Raises ``GatewayError`` when OpenCV cannot read the file."""
+        """Read a network. Raises ``GatewayError`` when OpenCV cannot read the file."""
         try:
             self._network = cv2.dnn.readNetFromTensorflow(str(path), "", cv2.dnn.ENGINE_CLASSIC)
         except cv2.error as error:
@@ -37,7 +37,7 @@ class OpenPose:
         cv2.setNumThreads(threads)
 
     def heat_maps(self, picture: Picture, region: PersonRegion) -> CameraHeatMaps:
-        """Of everybody in the region."""
+        """Return the maps of everybody in the region."""
         map_to_crop = region.affine(SIZE)
         crop = cropped(picture, map_to_crop, SIZE)
         self._network.setInput(cv2.dnn.blobFromImage(crop, swapRB=True))

@@ -20,6 +20,8 @@ from gateway.reconstruction.video.region import PersonRegion, upright_region
 
 _STRIDES = ((8, 2), (16, 2), (32, 6))
 """Pixels between anchors, and how many stand at each place."""
+MOST_PEOPLE = 4
+"""Of one picture that are considered, the likeliest ones."""
 _LEAST_SCORE = 0.5
 _STROKE = 0.45
 """Breadth of a person over the radius."""
@@ -50,7 +52,7 @@ class PersonDetector:
         self._model = LiteModel(DETECTOR.verified_path(), threads)
 
     def people(self, picture: Picture, window: PersonRegion | None = None) -> list[Person]:
-        """The people of a picture, or of one part of it, the likeliest first.
+        """Return the people of a picture, or of one part of it, the likeliest first.
 
         Whoever stands on the head is found in a window that is turned as well.
         """
@@ -67,9 +69,14 @@ class PersonDetector:
             people.append(Person(score, hips, shoulders, float(np.linalg.norm(edge - hips))))
         return people
 
+    def windows(self, picture: Picture) -> list[PersonRegion | None]:
+        """Return the whole of a picture, None, and parts of it in which people are found who are small, or
+        beside somebody who fills it: the whole before each part, for it is looked at most."""
+        return [window for part in _parts(picture) for window in (None, part)]
+
     def everybody(self, picture: Picture, most: int) -> list[Person]:
-        """As ``people``, and those beside somebody who fills the picture: looked for in parts of it, too,
-        once those found are painted over."""
+        """Return as ``people`` does, and those beside somebody who fills the picture: looked for in parts of
+        it, too, once those found are painted over."""
         people = self.people(picture)[:most]
         painted = picture.copy()
         for person in people:
@@ -85,7 +92,7 @@ class PersonDetector:
 
 
 def _parts(picture: Picture) -> list[PersonRegion]:
-    """Squares as wide as the shorter side, overlapping by a half, over the whole of a picture."""
+    """Return squares as wide as the shorter side, overlapping by a half, over the whole of a picture."""
     height, width = picture.shape[:2]
     side = min(height, width)
     return [
@@ -96,7 +103,7 @@ def _parts(picture: Picture) -> list[PersonRegion]:
 
 
 def _paint_over(picture: Picture, person: Person) -> None:
-    """A grey stroke from head to foot: neighbours stay in sight."""
+    """Draw a grey stroke from head to foot: neighbours stay in sight."""
     up = person.shoulders - person.hips
     reach = person.radius * up / max(float(np.linalg.norm(up)), 1e-6)
     ends = [tuple(round(float(value)) for value in person.hips + way * reach) for way in (1.0, -1.0)]
@@ -109,14 +116,14 @@ def _is_same(person: Person, other: Person) -> bool:
 
 
 def whole_picture(picture: Picture, roll: float = 0.0) -> PersonRegion:
-    """A region that holds all of a picture."""
+    """Return a region that holds all of a picture."""
     height, width = picture.shape[:2]
     return PersonRegion(0.5 * np.array([width - 1.0, height - 1.0]), float(max(width, height)), roll)
 
 
 @cache
 def _anchors(size: int) -> FloatArray:
-    """(n, 2) middles, 0 to 1 of the picture, in the order of the network's rows."""
+    """Return (n, 2) middles, 0 to 1 of the picture, in the order of the network's rows."""
     anchors = []
     for stride, at_each in _STRIDES:
         n = size // stride
@@ -127,7 +134,8 @@ def _anchors(size: int) -> FloatArray:
 
 
 def _decoded(boxes: FloatTensor, scores: FloatTensor, size: int) -> list[tuple[float, FloatArray]]:
-    """Of each person: the score, and hips, circle's edge and shoulders, (3, 2) crop pixels from the edge."""
+    """Return of each person the score, and hips, circle's edge and shoulders, (3, 2) crop pixels from the
+    edge."""
     likely = 1.0 / (1.0 + np.exp(-np.clip(scores.astype(np.float64), -60, 60)))
     rows = np.flatnonzero(likely >= _LEAST_SCORE)
     rows = rows[np.argsort(-likely[rows], kind="stable")]
@@ -147,7 +155,7 @@ def _decoded(boxes: FloatTensor, scores: FloatTensor, size: int) -> list[tuple[f
 
 
 def _overlap(middle: FloatArray, size: FloatArray, other: FloatArray, other_size: FloatArray) -> bool:
-    """Whether two boxes show one person: intersection over union."""
+    """Return whether two boxes show one person: intersection over union."""
     low = np.maximum(middle - size / 2, other - other_size / 2)
     high = np.minimum(middle + size / 2, other + other_size / 2)
     common = float(np.prod(np.clip(high - low, 0.0, None)))

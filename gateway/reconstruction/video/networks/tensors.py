@@ -20,7 +20,8 @@ class LiteModel:
     """One loaded .tflite file."""
 
     def __init__(self, path: Path, threads: int) -> None:
-        """Raises ``GatewayError`` when the extra ``video`` is missing or the file is no model."""
+        """Read a model. Raises ``GatewayError`` when the extra ``video`` is missing or the file is no
+        model."""
         try:
             from ai_edge_litert.interpreter import Interpreter  # noqa: PLC0415 - an extra
         except ImportError as error:
@@ -40,7 +41,7 @@ class LiteModel:
         return int(self._input["shape"][1])
 
     def run(self, picture: FloatTensor, *names: str) -> tuple[FloatTensor, ...]:
-        """The outputs of those names for a picture (rows, columns, 3)."""
+        """Return the outputs of those names for a picture (rows, columns, 3)."""
         self._interpreter.set_tensor(self._input["index"], picture[None])
         self._interpreter.invoke()
         return tuple(self._interpreter.get_tensor(self._outputs[name]) for name in names)
@@ -48,7 +49,8 @@ class LiteModel:
 
 @contextlib.contextmanager
 def _without_chatter() -> Iterator[None]:
-    """LiteRT writes to standard error, past Python, which delegate it has made: nobody asked."""
+    """Keep quiet what LiteRT writes to standard error, past Python, which delegate it has made: nobody
+    asked."""
     kept = os.dup(2)
     try:
         with open(os.devnull, "wb") as nowhere:

@@ -41,7 +41,8 @@ class Weights:
         return models_folder() / self.file
 
     def verified_path(self) -> Path:
-        """The file, checked. Raises ``GatewayError`` when it is missing or is not what it should be."""
+        """Return the file, checked. Raises ``GatewayError`` when it is missing or is not what it should
+        be."""
         try:
             content = self.path.read_bytes()
         except FileNotFoundError:
@@ -59,7 +60,7 @@ class Weights:
         return self.path
 
     def difference(self, content: bytes) -> str:
-        """How the checksum of a content differs; empty where it is the file."""
+        """Return how the checksum of a content differs; empty where it is the file."""
         found = hashlib.sha256(content).hexdigest()
         return "" if found == self.sha256 else f"sha256 {found[:12]}…, not {self.sha256[:12]}…"
 
@@ -122,19 +123,20 @@ IMPORTED_SETS = ("coco_17", "coco_23", "feet_24", "openpose_18")
 
 
 def keypoint_set_of(network: str) -> str:
-    """The name of a network's keypoint set. Raises ``GatewayError`` for an unknown network."""
+    """Return the name of a network's keypoint set. Raises ``GatewayError`` for an unknown network."""
     return network if network in IMPORTED_SETS else weights_of(network).keypoint_set
 
 
 def weights_of(name: str) -> Weights:
-    """The weights of a network by its name. Raises ``GatewayError`` for an unknown one."""
+    """Return the weights of a network by its name. Raises ``GatewayError`` for an unknown one."""
     if name not in NETWORKS:
         raise GatewayError(f"there is no network '{name}'" + nearest(name, NETWORKS))
     return NETWORKS[name]
 
 
 def models_folder() -> Path:
-    """Of the user: ``$MOCAP_MODELS``, else ``mocap-gateway/models`` under the user's cache folder."""
+    """Return the user's folder: ``$MOCAP_MODELS``, else ``mocap-gateway/models`` under the user's cache
+    folder."""
     told = os.environ.get(FOLDER_VARIABLE)
     if told:
         return Path(told)

@@ -10,10 +10,13 @@ from gateway.errors import GatewayError
 from gateway.frames import HeatMapFrame, Status
 from gateway.geometry import quaternion
 from gateway.reconstruction.video.crowd import VideoCrowd
+from gateway.reconstruction.video.initial import from_rays
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.offline import reconstruct_recorded
-from gateway.reconstruction.video.reconstructor import Tracking, VideoOptions, VideoReconstructor
+from gateway.reconstruction.video.projection import camera_model
+from gateway.reconstruction.video.reconstructor import Tracking, VideoReconstructor
+from gateway.reconstruction.video.tracker import TRUNK, VideoOptions
 
 pytestmark = pytest.mark.timeout(600)  # whichever test comes first compiles
 
@@ -175,6 +178,22 @@ def test_nobody_is_nobody():
     alone = replace(seen, cameras=(seen.cameras[0], None, None, None))
     assert np.isnan(reconstructor.update(alone).keypoints).all()
     assert np.isfinite(reconstructor.update(replace(seen, sequence=2)).keypoints).all()
+
+
+def test_somebody_whose_rays_nowhere_meet_is_found_in_the_whole_volume():
+    """Cameras that a calibration has off by centimetres, each another way."""
+    person = walking(KEYPOINTS, 2, (0.6, -0.5), (0.4, 0.0))
+    off = np.array([[0, 0, 0.06], [0, 0, 0.02], [0, 0, -0.02], [0, 0, -0.06]])
+    cameras = [
+        replace(camera, translation=camera.translation - camera.rotation @ away)
+        for camera, away in zip(CAMERAS, off, strict=True)
+    ]
+    seen = rendered(CAMERAS, true_regions(CAMERAS, KEYPOINTS, person.keypoints[0]), person.keypoints[:1], 0)
+    models = [camera_model(camera) for camera in cameras]
+    trunk = [KEYPOINTS.index(name) for name in TRUNK]
+    assert np.isnan(from_rays(models, seen.cameras)[0][trunk, 0]).sum() > 1
+    pose = VideoReconstructor(cameras, KEYPOINTS).update(seen)
+    assert np.median(np.linalg.norm(pose.keypoints - person.keypoints[0], axis=1)) < 0.08
 
 
 def test_whoever_leaves_is_held_and_then_sought_anew():

@@ -1,0 +1,131 @@
+"""The people in the pictures of one served camera: found by the detector, followed by their heat maps, and
+led by what the gateway tells of where the poses of all cameras will have them."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from devices.cameras.heat_map_messages import FOUND_BY_CAMERA
+from devices.cameras.orders import CameraOrders, Square
+from gateway.frames import CameraHeatMaps, FloatArray
+from gateway.reconstruction.video.networks.network import Picture, PoseNetwork
+from gateway.reconstruction.video.networks.person_detector import Person
+from gateway.reconstruction.video.region import PersonRegion, region_of_maps
+
+_LOOK_EVERY = 4
+"""Pictures between two looks for people who have come; while nobody is followed, there is one a picture."""
+_NEAR = 0.2
+"""Distance of the hips, in sides of a region, under which somebody is who is followed there."""
+_SILENT = 60
+"""Pictures without orders after which the gateway is taken to be gone."""
+_UNTOLD = 150
+"""Pictures after which somebody is left whom no gateway took for a person."""
+
+
+class Detector(Protocol):
+    """What finds people."""
+
+    def people(self, picture: Picture, window: PersonRegion | None = None) -> list[Person]:
+        """Return the people of a picture, or of one part of it, the likeliest first."""
+
+    def windows(self, picture: Picture) -> list[PersonRegion | None]:
+        """Return parts in which people are found whom somebody nearer outshines in the whole; None: the
+        whole."""
+
+
+class PeopleFollower:
+    """Keeps a region for each person from picture to picture."""
+
+    def __init__(self, network: PoseNetwork, detector: Detector, most: int) -> None:
+        """Follow nobody yet. most: people at once; one alone has the number 0, whoever tells."""
+        self._network, self._detector, self._most = network, detector, most
+        self._regions: dict[int, PersonRegion | None] = {}
+        """By number; None: in no picture, until told otherwise."""
+        self._since: dict[int, int] = {}  # by number of our own, the picture in which the person was found
+        self._last: FloatArray | None = None
+        self._pictures = self._looks = self._found = self._ordered_at = 0
+
+    def take(self, orders: CameraOrders) -> None:
+        """Follow whom the gateway names where it says, and nobody else by a number of the gateway's."""
+        self._ordered_at = self._pictures
+        told = {number: _region_of(square) for number, square in orders.squares.items()}
+        if self._most == 1:
+            told = {0: told.get(0, self._regions.get(0))}
+            self._regions = told if 0 in orders.squares or told[0] is not None else {}
+            return
+        kept: dict[int, PersonRegion | None] = {
+            number: region
+            for number, region in self._regions.items()
+            if number >= FOUND_BY_CAMERA and region is not None and not _is_among(region.centre, told)
+        }
+        self._regions = told | kept
+
+    def heat_maps(self, picture: Picture) -> dict[int, CameraHeatMaps | None]:
+        """Return the maps of everybody who is followed, by number; None of one who is not seen any more."""
+        self._look(picture)
+        self._pictures += 1
+        seen: dict[int, CameraHeatMaps | None] = {}
+        for number, region in list(self._regions.items()):
+            if region is None:
+                continue
+            maps = self._network.heat_maps(picture, region)
+            after = region_of_maps(maps, self._network.keypoints)
+            seen[number] = None if after is None else maps
+            self._last = region.centre
+            self._regions[number] = after
+            if after is None and (number >= FOUND_BY_CAMERA or self._most == 1):
+                del self._regions[number]
+        return seen
+
+    def _look(self, picture: Picture) -> None:
+        """Begin to follow whom the detector finds beside those who are followed."""
+        if self._pictures - self._ordered_at > _SILENT:
+            self._regions = {
+                number: region
+                for number, region in self._regions.items()
+                if region is not None and (number >= FOUND_BY_CAMERA or self._most == 1)
+            }
+        for number, since in list(self._since.items()):
+            if number not in self._regions or self._pictures - since > _UNTOLD:
+                self._regions.pop(number, None)
+                del self._since[number]
+        if len(self._regions) >= self._most:
+            return
+        if self._most == 1:
+            for person in self._nearest(self._detector.people(picture)):
+                self._regions[0] = person.region
+            return
+        if any(self._regions.values()) and self._pictures % _LOOK_EVERY:
+            return
+        windows = self._detector.windows(picture)
+        window = windows[self._looks % len(windows)]
+        self._looks += 1
+        for person in self._detector.people(picture, window):
+            if len(self._regions) < self._most and not _is_among(person.hips, self._regions):
+                number = FOUND_BY_CAMERA + self._found
+                self._found += 1
+                self._regions[number] = person.region
+                self._since[number] = self._pictures
+
+    def _nearest(self, people: list[Person]) -> list[Person]:
+        """Return the one nearest to who was lost last, else the likeliest."""
+        last = self._last
+        if last is None:
+            return people[:1]
+        return sorted(people, key=lambda person: float(np.linalg.norm(person.hips - last)))[:1]
+
+
+def _region_of(square: Square | None) -> PersonRegion | None:
+    if square is None:
+        return None
+    x, y, side, turn = square
+    return PersonRegion(np.array([x, y]), side, turn)
+
+
+def _is_among(hips: FloatArray, regions: dict[int, PersonRegion | None]) -> bool:
+    return any(
+        region is not None and float(np.linalg.norm(hips - region.centre)) < _NEAR * region.size
+        for region in regions.values()
+    )

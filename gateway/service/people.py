@@ -1,0 +1,93 @@
+"""Several people before cameras: a service of its own for each, from when they enter until they have left."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Coroutine, Sequence
+from typing import Any
+
+from devices.link import Chunk, Link
+from gateway.body.skeleton import WornSuit
+from gateway.cameras.live_crowd import LiveCrowd
+from gateway.errors import SettingsError
+from gateway.service.further_bodies import HandedLink, beside
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
+from gateway.sources.registry import NO_CAMERAS
+
+log = logging.getLogger(__name__)
+
+CARRIES = "heat_maps"
+LINK = "cameras"
+_LONGEST_END_S = 5.0
+"""For the services of people to say that they end."""
+
+Serve = Callable[[GatewaySettings, WornSuit, Sequence[Link]], Coroutine[Any, Any, None]]
+"""Runs a person's service until it is cancelled."""
+
+
+class PeopleBeforeCameras:
+    """Starts a service for whoever enters, hands on their heat maps, and ends it when they have left.
+
+    Belongs to one event loop.
+    """
+
+    def __init__(
+        self, settings: GatewaySettings, suit: WornSuit, serve: Serve, tell: Callable[[bytes], None]
+    ) -> None:
+        """Begin with nobody. suit: with the cameras; the lengths of its body do not count, everybody is
+        measured. tell: hands orders to the cameras. Raises ``SettingsError`` for a suit without cameras."""
+        if suit.video is None:
+            raise SettingsError(f"people: {NO_CAMERAS}")
+        assert settings.people is not None
+        self._settings, self._serve, self._tell = settings, serve, tell
+        self.crowd = LiveCrowd(suit.video, settings.people)
+        self.broker_port = settings.mqtt.port
+        """Of the broker that the first service has started or found."""
+        self._present: dict[int, tuple[HandedLink, asyncio.Task[None]]] = {}
+        self._ending: set[asyncio.Task[None]] = set()
+
+    def take(self, chunk: Chunk) -> None:
+        """Take heat maps of any camera."""
+        for instant in self.crowd.receive(chunk):
+            for number, suit in instant.entered.items():
+                self._begin(number, suit)
+            for number, data in instant.chunks.items():
+                self._present[number][0].hand(Chunk(data, chunk.arrived_ns, LINK))
+            for number in instant.left:
+                self._end(number)
+            self._tell(instant.orders)
+
+    async def close(self) -> None:
+        """End everybody's service."""
+        for number in list(self._present):
+            self._end(number)
+        if self._ending:
+            await asyncio.wait(self._ending, timeout=_LONGEST_END_S)
+
+    def statistics(self) -> dict[str, object]:
+        """Return counters for the health message."""
+        return {"people": self.crowd.statistics()}
+
+    def _begin(self, number: int, suit: WornSuit) -> None:
+        settings = self._settings_of(number)
+        link = HandedLink(LINK)
+        serving = asyncio.create_task(self._serve(settings, suit, [link]), name=settings.gateway)
+        self._present[number] = link, serving
+        log.info("person %d has entered: '%s'", number, settings.gateway)
+
+    def _end(self, number: int) -> None:
+        _, serving = self._present.pop(number)
+        serving.cancel()
+        self._ending.add(serving)
+        serving.add_done_callback(self._ending.discard)
+        log.info("person %d has left", number)
+
+    def _settings_of(self, number: int) -> GatewaySettings:
+        first = next(link for link in self._settings.links if link.carries == CARRIES)
+        links = [LinkSettings(name=LINK, url=first.url, carries=CARRIES)]
+        settings = beside(self._settings, str(number), links, self.broker_port)
+        # without their places, all would stand on one spot
+        mqtt = settings.mqtt.model_copy(update={"include": settings.mqtt.include | {"position"}})
+        return settings.model_copy(update={"people": None, "mqtt": mqtt})

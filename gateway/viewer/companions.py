@@ -1,0 +1,79 @@
+"""Other people before the same cameras, drawn beside the one that the page is about."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import viser
+
+from devices.link import gateway_time_ns
+from gateway.contract.messages import BodyMessage
+from gateway.outputs.subscriber import ReceivedPose
+from gateway.viewer.pose_table import STALE_AFTER_S
+from gateway.viewer.posture import PostureKeeper, skeleton_of
+from gateway.viewer.scene import BodyScene
+from gateway.viewer.stage import Stage
+
+_NUMBERED = re.compile(r"(.+)_(\d+)")
+MOST = 8
+
+
+class _Companion:
+    """One of them."""
+
+    def __init__(self, server: viser.ViserServer, stage: Stage, name: str, body: BodyMessage) -> None:
+        skeleton = skeleton_of(body)
+        self.body = body
+        self.drawn: ReceivedPose | None = None
+        self._keeper = PostureKeeper(skeleton)
+        self._scene = BodyScene(server, stage, skeleton, root=f"/companions/{name}")
+        self.remove = self._scene.remove
+
+    def draw(self, received: ReceivedPose) -> None:
+        """Bring it to a pose, every time: its place on the page depends on the page's middle too."""
+        self.drawn = received
+        self._scene.draw(self._keeper.take(received.pose), is_stale=False)
+
+
+class Companions:
+    """A body for each person who gives poses: ``lab_2`` and ``lab_3`` beside ``lab_1``."""
+
+    def __init__(self, server: viser.ViserServer, stage: Stage) -> None:
+        self._server, self._stage = server, stage
+        self._latest: dict[str, ReceivedPose] = {}
+        self._drawn: dict[str, _Companion] = {}
+
+    def add(self, received: ReceivedPose) -> None:
+        """Take a pose of anybody."""
+        if _NUMBERED.fullmatch(received.gateway) and (
+            received.gateway in self._latest or len(self._latest) <= MOST
+        ):
+            self._latest[received.gateway] = received
+
+    def draw(self, beside: str, bodies: Mapping[str, BodyMessage]) -> None:
+        """Draw all but the person that the page is about, and remove whoever gives no poses any more.
+
+        beside: name of that person's gateway; bodies: by name, as they were published.
+        """
+        oldest_ns = gateway_time_ns() - round(STALE_AFTER_S * 1e9)
+        self._latest = {name: each for name, each in self._latest.items() if each.received_ns > oldest_ns}
+        shown = {
+            name: each
+            for name, each in self._latest.items()
+            if name != beside and name in bodies and _room_of(name) == _room_of(beside)
+        }
+        for name, companion in list(self._drawn.items()):
+            if name not in shown or companion.body != bodies[name]:
+                companion.remove()
+                del self._drawn[name]
+        for name, received in shown.items():
+            if name not in self._drawn:
+                self._drawn[name] = _Companion(self._server, self._stage, name, bodies[name])
+            self._drawn[name].draw(received)
+
+
+def _room_of(gateway: str) -> str | None:
+    """Return the name that people before the same cameras share; None for one who is not numbered."""
+    found = _NUMBERED.fullmatch(gateway)
+    return found[1] if found else None

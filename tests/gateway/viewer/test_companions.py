@@ -1,0 +1,60 @@
+"""Other people on the page: they come, are drawn where they stand, and go."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
+
+import viser
+
+from devices.link import gateway_time_ns
+from gateway.body.rig import load_rig
+from gateway.contract.messages import PoseMessage, describe_body
+from gateway.outputs.subscriber import ReceivedPose
+from gateway.viewer.companions import Companions
+from gateway.viewer.stage import Stage
+
+BODY = load_rig("suit_17").skeleton
+MESSAGE = describe_body(BODY)
+
+
+def received(gateway, x, age_s=0.0):
+    names = BODY.segment_names
+    pose = PoseMessage(
+        t_ns=1, seq=1, frame="ENU", order="wxyz", root="pelvis",
+        segments=dict.fromkeys(names, tuple(BODY.neutral.tolist())),
+        status=dict.fromkeys(names, "measured"), position={"pelvis": (x, 0.0, 0.95)},
+    )  # fmt: skip
+    return ReceivedPose(gateway, gateway_time_ns() - round(age_s * 1e9), pose, b"")
+
+
+def shown(companions):
+    return sorted(companions._drawn)
+
+
+def test_those_of_the_same_room_are_drawn_and_leave_with_their_poses():
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+    try:
+        companions = Companions(server, Stage(server))
+        bodies = dict.fromkeys(("lab_1", "lab_2", "lab_3", "hall_1", "lab"), MESSAGE)
+
+        def draw(beside, bodies):
+            for k, name in enumerate(bodies):
+                companions.add(received(name, 1.0 * k))
+            companions.draw(beside, bodies)
+
+        draw("lab_1", bodies)
+        assert shown(companions) == ["lab_2", "lab_3"]
+        scene = companions._drawn["lab_2"]._scene
+        places = scene._figure._limbs.batched_positions
+        assert np.abs(np.median(places[:, 0]) - 1.0) < 0.2
+        draw("lab_1", {name: body for name, body in bodies.items() if name != "lab_2"})
+        assert shown(companions) == ["lab_3"]
+        draw("lab", bodies)
+        assert shown(companions) == []
+        draw("lab_1", bodies)
+        companions.add(received("lab_2", 1.0, age_s=5.0))
+        companions.draw("lab_1", bodies)
+        assert shown(companions) == ["lab_3"]
+    finally:
+        server.stop()
