@@ -29,6 +29,7 @@ from gateway.reconstruction.optical.bundle import (
     weighted_rmse,
     with_sigmas,
 )
+from gateway.reconstruction.optical.ghosts import other_sizes
 from gateway.reconstruction.optical.joint_ranges import bent_backwards, shown_joints
 from gateway.reconstruction.optical.landmarks import (
     Measured,
@@ -119,6 +120,8 @@ class Fit:
     """Whether joints are where the motion has them, whatever rules say."""
     ghosts: Mapping[str, int] = field(default_factory=dict)
     """Points far from all that sits beside their marker, by its name in the files: they had no say."""
+    other_sizes: Mapping[str, float] = field(default_factory=dict)
+    """Trials whose markers are farther apart or nearer than those of the first, and how many times."""
     backwards: tuple[str, ...] = ()
     """Joints that bend only to the side to which they cannot."""
 
@@ -197,6 +200,7 @@ def fit_body(
         too_few=too_few,
         is_functional=is_functional,
         ghosts=dressed.ghosts,
+        other_sizes=other_sizes(marker_set, trials),
         backwards=bent_backwards(marker_set.body, final, done.poses),
     )
 

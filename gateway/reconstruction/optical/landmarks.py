@@ -34,9 +34,14 @@ _UP = {
     "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "z": np.eye(3),
+    "-x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]),
+    "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    "-z": np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]),
 }
-"""From the axes of the optical system to the world, Z up, by the axis that points up there."""
+"""From the axes of the optical system to the world, Z up, by the axis that points up there; ``-z``: z points
+down."""
 
+AXES_UP = tuple(_UP)
 
 _SHORTEST_M, _LONGEST_M = 0.001, 2.0
 """Of a person's measurement: a number of a file that is none of these is in another unit than its points."""
@@ -45,16 +50,17 @@ MOST_ANGLE = np.pi / 2
 
 
 def to_world(positions: FloatArray, vertical: str) -> FloatArray:
-    """Positions (…, 3) of a system whose axis ``vertical`` points up, in the world, Z up."""
+    """Return positions (…, 3) of a system whose axis ``vertical`` points up, in the world, Z up."""
     turned: FloatArray = positions @ _UP[vertical].T
     return turned
 
 
 def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
-    """The axis of the file along which high markers lie above low ones; the root's markers stand for those of
-    an end of the body that carries none.
+    """Return the axis of the file along which high markers lie above low ones.
 
-    Raises ``GatewayError`` where the markers that would tell are not there, or lie the other way round.
+    The root's markers stand for those of an end of the body that carries none.
+
+    Raises ``GatewayError`` where the markers that would tell are not there.
     """
     low, high = (_middle(marker_set, trial, labels) for labels in marker_set.file.vertical)
     if not np.isfinite(high - low).all():
@@ -63,11 +69,7 @@ def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
             f"{trial.name}: which axis points up is not seen without {feet} and {top}: tell it with --up"
         )
     axis = int(np.argmax(np.abs(high - low)))
-    if (high - low)[axis] < 0:
-        raise GatewayError(
-            f"{trial.name}: the body is upside down along {'xyz'[axis]}: tell the axis with --up"
-        )
-    return "xyz"[axis]
+    return "xyz"[axis] if (high - low)[axis] > 0 else f"-{'xyz'[axis]}"
 
 
 def _middle(marker_set: MarkerSet, trial: MarkerTrial, labels: list[str]) -> FloatArray:
@@ -83,7 +85,7 @@ def _middle(marker_set: MarkerSet, trial: MarkerTrial, labels: list[str]) -> Flo
 
 @dataclass(frozen=True)
 class Measured:
-    """Lengths and angles of a person, and which lengths nobody told."""
+    """Lengths and angles of a person, and which lengths that count nobody told."""
 
     lengths: Mapping[str, float]  # m
     angles: Mapping[str, float]  # rad
@@ -103,7 +105,7 @@ def measurements(
     known, angles = marker_set.file.measurements, dict(given_angles or {})
     _refuse_unknown(marker_set, "measurement", given, known)
     _refuse_unknown(marker_set, "angle", angles, marker_set.file.angles)
-    lengths, assumed = dict(given), []
+    lengths, assumed, counting = dict(given), [], marker_set.counting()
     for name, entry in known.items():
         told = [
             trial.parameters[parameter] * trial.metres_per_unit
@@ -117,7 +119,8 @@ def measurements(
             lengths[name] = float(np.mean(told))
         elif entry.default_m is not None:
             lengths[name] = entry.default_m
-            assumed.append(name)
+            if name in counting:
+                assumed.append(name)
     for name, angle in marker_set.file.angles.items():
         if name not in angles:
             found = [

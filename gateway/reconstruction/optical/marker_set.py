@@ -262,6 +262,21 @@ class MarkerSet(_Strict):
         rules = self.file.points[point]
         return rules if isinstance(rules, list) else [rules]
 
+    def counting(self) -> set[str]:
+        """Return all points and measurements on which the places of its segments rest, each by the first rule
+        that it has; the markers' diameter always."""
+        open_names = list(names_in(list(self.file.segments.values())))
+        found = {MARKER_DIAMETER}
+        while open_names:
+            name = open_names.pop()
+            if name in found:
+                continue
+            found.add(name)
+            if name in self.file.points:
+                rule = next(iter(self.rules(name)))
+                open_names += names_in(getattr(rule, rule.kind))
+        return found
+
 
 def load_marker_set(name: str) -> MarkerSet:
     """A marker set by name or path. Raises ``SettingsError`` naming file, entry and remedy."""
