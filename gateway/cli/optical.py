@@ -221,7 +221,8 @@ def _fit_outcome(found: Fit, files: list[Path], target: Path) -> dict[str, objec
 
 
 def uneven_sides(lengths_mm: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Segments of the left and of the right, the longer more than ``MOST_UNEVEN`` times the shorter."""
+    """Return segments of the left and of the right, the longer more than ``MOST_UNEVEN`` times the
+    shorter."""
     pairs = [(name, name.replace("left_", "right_", 1)) for name in lengths_mm if name.startswith("left_")]
     return [
         (left, right)

@@ -140,7 +140,8 @@ def fit_body(
     options: FitOptions | None = None,
     progress: Progress | None = None,
 ) -> Fit:
-    """The body that explains the trials, as much of it as carries markers; these are called as in the files.
+    """Return the body that explains the trials, as much of it as carries markers; these are called as in the
+    files.
 
     Raises ``GatewayError`` where the trials do not tell enough, ``FormatError`` where it is open whose
     markers are meant.
@@ -208,7 +209,7 @@ def fit_body(
 def _moved_by_motion(
     marker_set: MarkerSet, begun: Adjusted, observed: FloatArray, centres: str, bending: Sequence[int]
 ) -> Adjusted:
-    """The body found together with its poses: first with all markers heard, then each by its own σ."""
+    """Return the body found together with its poses: first with all markers heard, then each by its own σ."""
     trust = _trust(marker_set, begun.model, centres)
     done = adjusted(begun.model, observed, begun.poses, trust, _NEAR_AT_FIRST, bending)
     known = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
@@ -218,8 +219,8 @@ def _moved_by_motion(
 def _found_in_motion(
     marker_set: MarkerSet, begun: Adjusted, observed: FloatArray, centres: str, bending: Sequence[int]
 ) -> tuple[Adjusted, bool]:
-    """The body as the motion and rules have it, and whether rules were left aside: asked for, or since joints
-    went as far as rules let them and markers are met far better without."""
+    """Return the body as the motion and rules have it, and whether rules were left aside: asked for, or since
+    joints went as far as rules let them and markers are met far better without."""
     done = _moved_by_motion(marker_set, begun, observed, centres, bending)
     away = np.linalg.norm(done.model.offsets - begun.model.offsets, axis=1)
     if centres == "motion" or not (away > _trust(marker_set, begun.model, centres)).any():
@@ -229,7 +230,7 @@ def _found_in_motion(
 
 
 def _bending(marker_set: MarkerSet) -> list[int]:
-    """Segments whose joints bend in one plane."""
+    """Return segments whose joints bend in one plane."""
     entries = marker_set.file.segments
     return [s for s, name in enumerate(marker_set.body.segment_names) if entries[name].bends]
 
@@ -238,7 +239,8 @@ def _anchored_in_neutral(
     marker_set: MarkerSet, done: Adjusted, observed: FloatArray, stood: FloatArray, tips: FloatArray,
     centres: str,
 ) -> tuple[Adjusted, FloatArray]:  # fmt: skip
-    """Axes by the neutral posture of the frames ``stood`` (n, M, 3), again once joints are straight."""
+    """Return axes by the neutral posture of the frames ``stood`` (n, M, 3), again once joints are
+    straight."""
     body = marker_set.body
     done, tips = _made_neutral(body, done, stood, tips)
     straight = done.model._replace(offsets=straightened(body, done.model.offsets))
@@ -249,8 +251,8 @@ def _anchored_in_neutral(
 def _enough_seen(
     marker_set: MarkerSet, trials: Sequence[MarkerTrial], vertical: str, measured: Measured
 ) -> tuple[MarkerSet, list[Sighting], dict[str, tuple[str, ...]]]:
-    """The set without limbs of which no frame tells how they lie, what is seen of the rest, and those limbs
-    with the markers that lack. A body of which hardly anything would be left stays as it is."""
+    """Return the set without limbs of which no frame tells how they lie, what is seen of the rest, and those
+    limbs with the markers that lack. A body of which hardly anything would be left stays as it is."""
     left, too_few = marker_set, dict[str, tuple[str, ...]]()
     while True:
         sightings = [sighted(left, trial, vertical, measured) for trial in trials]
@@ -273,7 +275,7 @@ def _enough_seen(
 
 
 def sighted(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> Sighting:
-    """A trial's markers in the world, and what rules make of them."""
+    """Return a trial's markers in the world, and what rules make of them."""
     markers = to_world(trial.columns(marker_set.labels), vertical)
     return Sighting(trial.name, markers, landmarks_of(marker_set, trial, vertical, measured).places())
 
@@ -302,7 +304,7 @@ def _stood_neutral(
 
 
 def _trust(marker_set: MarkerSet, model: BodyModel, centres: str) -> FloatArray:
-    """(S,) m: 1 σ of every joint's place in its parent."""
+    """Return (S,) m: 1 σ of every joint's place in its parent."""
     entries = marker_set.file.segments
     trust = np.array([entries[name].trust_mm for name in marker_set.body.segment_names]) * 1e-3
     if centres == "motion":
@@ -312,7 +314,7 @@ def _trust(marker_set: MarkerSet, model: BodyModel, centres: str) -> FloatArray:
 
 
 def _moving(sightings: Sequence[Sighting]) -> list[Sighting]:
-    """The trials, few frames of those in which nothing moves.
+    """Return the trials, few frames of those in which nothing moves.
 
     A posture held for seconds is one posture: were all its frames to count, the body would be that of this
     posture, with the skin where it pulled it (an acromion marker moves by 4 cm when the arm is raised).
@@ -323,7 +325,7 @@ def _moving(sightings: Sequence[Sighting]) -> list[Sighting]:
 
 
 def _spread(sighting: Sighting, count: int) -> Sighting:
-    """So many of the frames with most markers seen, at equal distances."""
+    """Return so many of the frames with most markers seen, at equal distances."""
     share = np.isfinite(sighting.markers).all(axis=2).mean(axis=1)
     good = np.flatnonzero(share >= min(0.8, share.max()))
     chosen = np.linspace(0, len(good) - 1, min(len(good), count)).astype(np.int64)
@@ -337,7 +339,7 @@ def _standing(
     span: tuple[float, float],
     trial: MarkerTrial,
 ) -> FloatArray:
-    """(n, M, 3) m of some frames of neutral standing."""
+    """Return (n, M, 3) m of some frames of neutral standing."""
     columns = np.array([marker_set.labels.index(label) for label in markers.labels])
     first, last = (round(each * trial.rate_hz) for each in span)
     chosen = np.unique(np.linspace(first, min(last, trial.n_frames) - 1, STILL_FRAMES).astype(np.int64))
@@ -347,7 +349,7 @@ def _standing(
 def _made_neutral(
     body: Skeleton, done: Adjusted, stood: FloatArray, tips: FloatArray
 ) -> tuple[Adjusted, FloatArray]:
-    """The fitted body with axes that make the standing frames (n, M, 3) neutral; its tips (S, 3)."""
+    """Return the fitted body with axes that make the standing frames (n, M, 3) neutral; its tips (S, 3)."""
     model, pose = done.model, done.poses[0]
     standing = []
     for seen in stood:
@@ -359,7 +361,7 @@ def _made_neutral(
 
 
 def _largest_stray(seen: FloatArray) -> float:
-    """The largest distance of a marker (F, M, 3) from its mean place, root mean square, m."""
+    """Return the largest distance of a marker (F, M, 3) from its mean place, root mean square, m."""
     known: NDArray[np.bool_] = np.asarray(np.isfinite(seen).all(axis=2))
     count = np.maximum(known.sum(axis=0), 1)
     values = np.where(known[..., None], seen, 0.0)

@@ -73,7 +73,8 @@ def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
 
 
 def _middle(marker_set: MarkerSet, trial: MarkerTrial, labels: list[str]) -> FloatArray:
-    """(3,) m, mean place of markers; of the root's where none of these is seen; NaN without those too."""
+    """Return (3,) m, mean place of markers; of the root's where none of these is seen; NaN without
+    those too."""
     root = marker_set.file.markers.get(marker_set.body.segment_names[0], [])
     for some in (labels, root):
         places = trial.columns(tuple(some)).reshape(-1, 3)
@@ -98,7 +99,7 @@ def measurements(
     given: Mapping[str, float],
     given_angles: Mapping[str, float] | None = None,
 ) -> Measured:
-    """What the rules need: as given (m, rad), else from the files, else the marker set's defaults.
+    """Return what the rules need: as given (m, rad), else from the files, else the marker set's defaults.
 
     Raises ``GatewayError`` for one given that the marker set does not have, and for an angle that cannot be.
     """
@@ -159,7 +160,7 @@ class SegmentPlaces:
     tips: FloatArray  # (F, S, 3) m; NaN where no rule tells
 
     def only(self, frames: IntArray) -> SegmentPlaces:
-        """Some of its frames."""
+        """Return some of its frames."""
         return SegmentPlaces(self.origins[frames], self.axes[frames], self.tips[frames])
 
 
@@ -175,13 +176,13 @@ class Landmarks:
         self._n_frames = len(next(iter(markers.values())))
 
     def point(self, name: str) -> FloatArray:
-        """(F, 3) m; NaN where its markers are missing."""
+        """Return (F, 3) m; NaN where its markers are missing."""
         if name not in self._points:
             self._points[name] = self._worked_out(name)
         return self._points[name]
 
     def axes(self, segment: str) -> FloatArray | None:
-        """(F, 3, 3) of a segment; None where the marker set tells none."""
+        """Return (F, 3, 3) of a segment; None where the marker set tells none."""
         rule = self._set.file.segments[segment].axes
         if rule is None:
             return None
@@ -189,7 +190,7 @@ class Landmarks:
         return rules.frame_axes((first, self.point(a), self.point(b)), (second, self.point(c), self.point(d)))
 
     def places(self) -> SegmentPlaces:
-        """All segments; one without axes of its own is turned as its parent."""
+        """Return all segments; one without axes of its own is turned as its parent."""
         body = self._set.body
         shape = (self._n_frames, body.n_segments, 3)
         origins, tips, axes = np.full(shape, np.nan), np.full(shape, np.nan), np.full((*shape, 3), np.nan)
@@ -313,7 +314,7 @@ _APPLY: dict[str, Callable[..., FloatArray]] = {
 
 
 def landmarks_of(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> Landmarks:
-    """The landmarks of a trial in the world."""
+    """Return the landmarks of a trial in the world."""
     world = to_world(trial.columns(marker_set.labels), vertical)
     markers = {label: world[:, m] for m, label in enumerate(marker_set.labels)}
     return Landmarks(marker_set, markers, measured)

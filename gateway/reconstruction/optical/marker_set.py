@@ -258,7 +258,7 @@ class MarkerSet(_Strict):
         return {name: label for label, names in self.file.aliases.items() for name in names}
 
     def rules(self, point: str) -> list[PointRule]:
-        """The rules of a point, in order of preference."""
+        """Return the rules of a point, in order of preference."""
         rules = self.file.points[point]
         return rules if isinstance(rules, list) else [rules]
 
@@ -279,7 +279,7 @@ class MarkerSet(_Strict):
 
 
 def load_marker_set(name: str) -> MarkerSet:
-    """A marker set by name or path. Raises ``SettingsError`` naming file, entry and remedy."""
+    """Return a marker set by name or path. Raises ``SettingsError`` naming file, entry and remedy."""
     path = find_file(name, "marker_sets")
     file = load_settings(path, MarkerSetFile)
     found = MarkerSet(file=file, body=load_body(file.body, path), path=path)
@@ -289,7 +289,7 @@ def load_marker_set(name: str) -> MarkerSet:
 
 
 def names_in(value: object) -> Iterable[str]:
-    """All texts in a rule: points and markers, and measurements."""
+    """Return all texts in a rule: points and markers, and measurements."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, BaseModel):

@@ -41,7 +41,7 @@ class Dressed:
 
 
 def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str | None = None) -> Dressed:
-    """Trials with their markers called as in the set, and the set without what is in none of them.
+    """Return trials with their markers called as in the set, and the set without what is in none of them.
 
     person: as in ``spelt``. Raises ``FormatError`` as that does, ``GatewayError`` for a trial without any
     marker of the set.
@@ -67,7 +67,7 @@ def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str
 
 
 def worn_part(marker_set: MarkerSet, labels: Collection[str], without: Collection[str] = ()) -> MarkerSet:
-    """The set with these markers only, and its body without the limbs that carry none of them.
+    """Return the set with these markers only, and its body without the limbs that carry none of them.
 
     The body hangs from its root, or, where that carries none of the markers, from the segment from which all
     hang that do. Segments to which the set itself gives no marker stay where they follow one that stays, and
@@ -110,7 +110,7 @@ def _first_worn(marker_set: MarkerSet, point: str, labels: Collection[str]) -> l
 
 
 def fitting_set(trials: Sequence[MarkerTrial], person: str | None = None) -> MarkerSet:
-    """The shipped marker set of which the trials have most markers; of equals the smallest.
+    """Return the shipped marker set of which the trials have most markers; of equals the smallest.
 
     Raises ``GatewayError`` that names the shipped ones where the trials have hardly a marker of any.
     """
