@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,32 +156,25 @@ def fit_body(
         sightings = _stood_neutral(marker_set, sightings, trials[0], options.neutral)
     moving = _moving(sightings)
     skeleton, markers = from_rules(marker_set, moving, vertical)
-    model = body_model(skeleton, markers)
     chosen = [_spread(each, MOST_FRAMES // len(sightings)) for each in moving]
-    columns = [marker_set.labels.index(label) for label in markers.labels]
-    observed = np.concatenate([sighting.markers[:, columns] for sighting in chosen])
-    axes = np.concatenate([sighting.places.axes for sighting in chosen])
-    roots = np.concatenate([sighting.places.origins[:, 0] for sighting in chosen])
-    poses = [
-        _begun(model, seen, R, root, skeleton, sightings[0].name)
-        for seen, R, root in zip(observed, axes, roots, strict=True)
-    ]
+    evidence = _evidence(marker_set, skeleton, markers, chosen)
     if progress is not None:
         progress(1, 2)
-    begun = Adjusted(model, poses, weighted_rmse(poses), 0)
-    moved = np.zeros(skeleton.n_segments)
     bending = [] if options.neutral is not None else _bending(marker_set)
-    done, tips = turned(begun, skeleton.tips, turns_to_bending(model, poses, bending))
-    is_functional = options.centres == "motion"
+    begun = Adjusted(evidence.model, evidence.poses, weighted_rmse(evidence.poses), 0)
+    done, tips = turned(begun, skeleton.tips, turns_to_bending(evidence.model, evidence.poses, bending))
+    moved, is_functional = np.zeros(skeleton.n_segments), False
     if options.centres != "rules":
-        done, is_functional = _found_in_motion(marker_set, done, observed, options.centres, bending)
+        done, is_functional = _found_in_motion(marker_set, done, evidence.observed, options.centres, bending)
         moved = np.linalg.norm(done.model.offsets - skeleton.offsets, axis=1)
         if options.neutral is None:
-            done, tips = turned(done, tips, turns_to_rules(done.poses, axes))
+            done, tips = turned(done, tips, turns_to_rules(done.poses, evidence.axes))
             done, tips = turned(done, tips, turns_to_bending(done.model, done.poses, bending))
         else:
             stood = _standing(sightings[0], markers, marker_set, options.neutral, trials[0])
-            done, tips = _anchored_in_neutral(marker_set, done, observed, stood, tips, options.centres)
+            done, tips = _anchored_in_neutral(
+                marker_set, done, evidence.observed, stood, tips, options.centres
+            )
     final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
     if progress is not None:
         progress(2, 2)
@@ -194,7 +187,7 @@ def fit_body(
         lengths=measured.lengths,
         angles=measured.angles,
         assumed=measured.assumed,
-        frames=len(observed),
+        frames=len(evidence.observed),
         rmse=done.rmse,
         moved=moved,
         left_out=dressed.left_out,
@@ -204,6 +197,31 @@ def fit_body(
         other_sizes=other_sizes(marker_set, trials),
         backwards=bent_backwards(marker_set.body, final, done.poses),
     )
+
+
+class _Evidence(NamedTuple):
+    """K chosen frames, and the body that rules make of them."""
+
+    model: BodyModel
+    observed: FloatArray  # (K, M, 3) m, markers of the body
+    axes: FloatArray  # (K, S, 3, 3) segment to world, by rules
+    poses: list[Pose]
+
+
+def _evidence(
+    marker_set: MarkerSet, skeleton: Skeleton, markers: BodyMarkers, chosen: Sequence[Sighting]
+) -> _Evidence:
+    """Return the chosen frames of all trials, each with the pose from which the fit begins."""
+    model = body_model(skeleton, markers)
+    columns = [marker_set.labels.index(label) for label in markers.labels]
+    observed = np.concatenate([sighting.markers[:, columns] for sighting in chosen])
+    axes = np.concatenate([sighting.places.axes for sighting in chosen])
+    roots = np.concatenate([sighting.places.origins[:, 0] for sighting in chosen])
+    poses = [
+        _begun(model, seen, R, root, skeleton, chosen[0].name)
+        for seen, R, root in zip(observed, axes, roots, strict=True)
+    ]
+    return _Evidence(model, observed, axes, poses)
 
 
 def _moved_by_motion(
