@@ -71,7 +71,7 @@ def spellings(
     meant |= {plain(label.rpartition(":")[2]): label for label in own}
     meant |= {plain(_without(label, _owner(own))): label for label in own}
     meant |= {plain(label): label for label in own}
-    if people := _people_behind(labels, meant):
+    if people := _people_behind(labels, meant, person):
         first = {_person_first(label, people): label for label in labels}
         mine = {_person_first(label, people): label for label in own}
         found = spellings(list(first), mine, others, person, source)
@@ -94,12 +94,15 @@ def spellings(
     return found
 
 
-def _people_behind(labels: Sequence[str], meant: Mapping[str, str]) -> set[str]:
+def _people_behind(labels: Sequence[str], meant: Mapping[str, str], person: str | None) -> set[str]:
     """Return who wears markers whose names end in a person's (``LASI_1``, ``LASI_2``).
 
-    Nobody where fewer than two people have enough of them.
+    Nobody where fewer than two people have enough of them, unless it is a ``person`` who is asked for.
     """
     split = [match for label in labels if (match := _PERSON_BEHIND.fullmatch(label)) is not None]
+    if person is not None and not any(label.startswith(person) for label in labels):
+        everybody = {match[2] for match in split}
+        return everybody if person in everybody else set()
     counts = Counter(
         match[2] for match in split if plain(match[1]) in meant and match[2].lower() not in _SIDES
     )

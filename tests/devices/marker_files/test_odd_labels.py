@@ -50,6 +50,7 @@ def test_people_may_stand_behind_the_names_of_their_markers():
     with pytest.raises(FormatError, match="markers of 1 and 2: tell whose are meant with --person 1"):
         spellings(labels, WANTED)
     assert spellings(labels, WANTED, person="2") == {f"{label}_2": label for label in WANTED}
+    assert spellings(labels, ("R.ASIS", "X1"), {"RASI": "R.ASIS"}, person="2") == {"RASI_2": "R.ASIS"}
     own = [f"{label}_2" for label in WANTED]
     assert spellings(labels, own) == {label: label for label in own}
 
