@@ -35,6 +35,15 @@ BODY = (
     "RTHI", "RKNE", "RTIB", "RANK", "RHEE", "RTOE",
 )  # fmt: skip
 LABELS = (*BODY, *LEFT)
+LEGS = tuple(
+    side + name for side in "LR" for name in ("ASI", "PSI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE")
+)
+ONE_LEG = ("LASI", "LPSI", *(label for label in LEGS if label[0] == "R"))
+ONE_EACH = (
+    "C7",
+    "LFHD",
+    *(side + name for side in "LR" for name in ["SHO", "ELB", "WRA", "FIN", "ASI", "THI", "TIB", "TOE"]),
+)
 STATIC_FRAMES, WALK_FRAMES, EVERY = 10, 40, 5
 
 Change = Callable[[MarkerTrial], MarkerTrial]
@@ -130,6 +139,51 @@ def head_changed(old: str, new: str) -> Edit:
     return lambda lines: [*lines[:2], lines[2].replace(old, new, 1), *lines[3:]]
 
 
+def side_behind(label: str) -> str:
+    """ASI_L for LASI."""
+    return f"{label[1:]}_{label[0]}" if label[0] in "LR" else label
+
+
+def written_out(label: str) -> str:
+    """Left ASIS for LASI."""
+    words = {
+        "ASI": "ASIS", "PSI": "PSIS", "THI": "thigh", "KNE": "knee", "TIB": "shank", "ANK": "ankle",
+        "HEE": "heel", "TOE": "toe", "SHO": "shoulder", "ELB": "elbow",
+    }  # fmt: skip
+    word = words.get(label[1:])
+    return label if word is None else f"{'Left' if label[0] == 'L' else 'Right'} {word}"
+
+
+def people_behind(trial: MarkerTrial) -> MarkerTrial:
+    """LASI_1 and LASI_2."""
+    labels = tuple(f"{label}_{person}" for person in (1, 2) for label in trial.labels)
+    return replace(trial, labels=labels, positions=np.hstack([trial.positions, trial.positions + 1.5]))
+
+
+def with_long_gaps(trial: MarkerTrial) -> MarkerTrial:
+    """Every marker is hidden for 40 % of the time, six frames at once."""
+    generator, places = np.random.default_rng(5), trial.positions.copy()
+    for marker in range(places.shape[1]):
+        for first in generator.integers(0, max(1, len(places) - 6), round(0.4 * len(places) / 6)):
+            places[first : first + 6, marker] = np.nan
+    return replace(trial, positions=places)
+
+
+def cells(change: Callable[[str], str]) -> Edit:
+    """Return what rewrites every coordinate."""
+    return lambda lines: [
+        *lines[:5],
+        *("\t".join([*row[:2], *map(change, row[2:])]) for row in (line.split("\t") for line in lines[5:])),
+    ]
+
+
+def in_inches(lines: list[str]) -> list[str]:
+    """The same lengths in another unit, which is written out."""
+    return head_changed("mm", "Inches")(
+        cells(lambda field: f"{float(field) / 25.4:.6f}" if field else field)(lines)
+    )
+
+
 def quoted(lines: list[str]) -> list[str]:
     """As some spreadsheets write it."""
     rows = [line.split("\t") for line in lines[5:]]
@@ -171,6 +225,33 @@ CASES: dict[str, tuple[Change, Edit]] = {
     "times that contradict the rate": (same, head_changed("24\t", "120\t")),
     "frames left out": (same, lambda lines: [*lines[:15], *lines[30:]]),
     "decimal commas": (same, lambda lines: [*lines[:5], *(line.replace(".", ",") for line in lines[5:])]),
+    "another order of markers": (
+        lambda trial: replace(trial, labels=trial.labels[::-1], positions=trial.positions[:, ::-1]),
+        list,
+    ),
+    "the side behind the name": (called(side_behind), list),
+    "names written out": (called(written_out), list),
+    "names of another language": (called(lambda label: f"Marke {LABELS.index(label)}"), list),
+    "people behind the names": (people_behind, list),
+    "z points down": (lambda trial: replace(trial, positions=trial.positions * [1.0, -1.0, -1.0]), list),
+    "x up": (lambda trial: replace(trial, positions=trial.positions[..., [2, 0, 1]]), list),
+    "the walk in inches": (same, in_inches),
+    "the upper body alone": (without(*LEGS), list),
+    "one leg alone": (without(*(label for label in LABELS if label not in ONE_LEG)), list),
+    "the feet alone": (without(*(label for label in LABELS if label[1:] not in ("ANK", "HEE", "TOE"))), list),
+    "one marker a segment": (without(*(label for label in LABELS if label not in ONE_EACH)), list),
+    "40 % of every marker hidden": (with_long_gaps, list),
+    "every frame twice": (
+        lambda trial: replace(trial, positions=np.repeat(trial.positions, 2, axis=0)[: len(trial.positions)]),
+        list,
+    ),
+    "in whole centimetres": (lambda trial: replace(trial, positions=np.round(trial.positions, 2)), list),
+    "-nan(ind) where not seen": (noisy, cells(lambda field: field or "-nan(ind)")),
+    "commas between thousands": (same, cells(lambda field: f"{float(field):,.3f}" if field else field)),
+    "empty lines between": (
+        same,
+        lambda lines: [*lines[:5], *(line for row in lines[5:] for line in (row, ""))],
+    ),
     "wrong unit": (same, head_changed("mm", "m")),
     "blanks in the place of tabs": (same, lambda lines: [line.replace("\t", " ") for line in lines]),
 }

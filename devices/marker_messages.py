@@ -19,11 +19,11 @@ from typing import Any
 import orjson
 
 from devices.link import Chunk
-from devices.marker_files.trial import METRES
+from devices.marker_files.trial import metres_of
 
 _LARGEST_M = 1000.0
 _LONGEST_LINE = 1 << 20
-_AXES = frozenset({"x", "y", "z"})
+_AXES = frozenset({"x", "y", "z", "-x", "-y", "-z"})
 _FASTEST_DRIFT = 200e-6
 """How much faster than the gateway's a sender's clock may run, or slower: crystals are within 100 ppm."""
 _RESTART_NS = 250_000_000
@@ -113,7 +113,7 @@ class MarkerReceiver:
             raise _UnreadableError("no_markers")
 
         unit = content.get("unit", "m")
-        factor = METRES.get(unit) if isinstance(unit, str) else None
+        factor = metres_of(unit) if isinstance(unit, str) else None
         if factor is None:
             raise _UnreadableError("bad_unit")
         up = content.get("up")

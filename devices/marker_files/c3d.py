@@ -10,10 +10,11 @@ import numpy as np
 
 from devices.marker_files.c3d_parameters import BLOCK, MIPS, Parameter, floats, read_parameters
 from devices.marker_files.naming import without_prefixes
-from devices.marker_files.trial import METRES, FloatArray, MarkerTrial, label_notes, seen_points
+from devices.marker_files.trial import METRES, FloatArray, MarkerTrial, label_notes, metres_of, seen_points
 from devices.vendor_formats.sheets import FormatError
 
-_MAGIC = 0x50
+MAGIC = 0x50
+"""Second byte of every C3D file."""
 _LABEL_LISTS = 64
 _NOT_IN_NAMES = re.compile(r"[\s_]+")
 """Programs write "MarkerDiameter", "Marker Diameter" and "Marker_Diameter"."""
@@ -116,7 +117,7 @@ def open_c3d(path: Path) -> C3DFile:
         raise FormatError(f"{path} cannot be read: {error.strerror}") from error
     if len(content) < BLOCK:
         raise FormatError(f"{path}: {len(content)} bytes, which is less than the header of a C3D file (512)")
-    if content[1] != _MAGIC:
+    if content[1] != MAGIC:
         raise FormatError(f"{path}: not a C3D file: byte 1 is {content[1]:#04x} and not 0x50")
     processor, parameters = read_parameters(content, content[0], str(path))
     return C3DFile(path, content, processor, parameters, _layout(content, processor, parameters, path))
@@ -194,10 +195,10 @@ def metres_per_unit(parameters: dict[str, Parameter], path: Path) -> float:
     """Return metres per unit of the file's lengths. Raises ``FormatError`` for an unknown unit."""
     # Most systems write millimetres, also those that do not say so.
     texts = parameters["POINT:UNITS"].texts() if "POINT:UNITS" in parameters else []
-    unit = texts[0].lower() if texts and texts[0] else "mm"
-    if unit not in METRES:
-        raise FormatError(f"{path}: POINT:UNITS is '{unit}': one of {', '.join(METRES)} is wanted")
-    return METRES[unit]
+    metres = metres_of(texts[0]) if texts and texts[0] else METRES["mm"]
+    if metres is None:
+        raise FormatError(f"{path}: POINT:UNITS is '{texts[0]}': one of {', '.join(METRES)} is wanted")
+    return metres
 
 
 def _labels(parameters: dict[str, Parameter], n_points: int) -> tuple[str, ...]:

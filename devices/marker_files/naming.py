@@ -1,23 +1,33 @@
-"""One marker, many spellings: ``LASI``, ``lasi``, ``Bob:LASI``, ``Bob_LASI``, ``L.ASIS`` and ``L_ASIS``."""
+"""One marker, many spellings.
+
+``LASI``, ``lasi``, ``Bob:LASI``, ``Bob_LASI``, ``LASI_2``, ``L.ASIS``, ``ASIS_L`` and ``Left ASIS``.
+"""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from devices.marker_files.trial import MarkerTrial
 from devices.vendor_formats.sheets import FormatError
 
 _PREFIX = re.compile(r"([^:_.\s-]+)[:_.\s-]+(.+)")
+_PERSON_BEHIND = re.compile(r"(.+)[:_.\s-]+([^:_.\s-]+)")
+_SIDES = frozenset({"l", "r", "left", "right"})
+_SIDE = re.compile(r"(?:(left|right)[\W_]+)?(.+?)(?:[\W_]+(left|right|l|r))?", re.IGNORECASE)
+"""Written out before a marker's name, or behind it."""
 _NOT_SPELT = re.compile(r"[\W_]+")
 _ONE_MORE = 3
 """A prefix is a person's name if so many more markers are known without it."""
 
 
 def plain(label: str) -> str:
-    """Return a label without case and punctuation."""
+    """Return a label without case and punctuation, l or r first where its side is written out or behind."""
+    match = _SIDE.fullmatch(label.strip())
+    if match is not None and (match[1] is None) != (match[3] is None):
+        label = (match[1] or match[3])[0] + match[2]
     return _NOT_SPELT.sub("", label).casefold()
 
 
@@ -62,6 +72,11 @@ def spellings(
     meant |= {plain(_without(label, _owner(own))): label for label in own}
     # The closest spelling comes last, and so replaces looser ones.
     meant |= {plain(label): label for label in own}
+    if people := _people_behind(labels, meant, person):
+        first = {_person_first(label, people): label for label in labels}
+        mine = {_person_first(label, people): label for label in own}
+        found = spellings(list(first), mine, others, person, source)
+        return {first[label]: mine[name] for label, name in found.items()}
     bare = dict(zip(labels, _bare(labels), strict=True))
     if person is None and _known(bare.values(), meant) > _known(labels, meant) + _ONE_MORE:
         return _first_of_each(
@@ -78,6 +93,29 @@ def spellings(
             found[label] = name
             taken.add(name)
     return found
+
+
+def _people_behind(labels: Sequence[str], meant: Mapping[str, str], person: str | None) -> set[str]:
+    """Return who wears markers whose names end in a person's (``LASI_1``, ``LASI_2``).
+
+    Nobody where fewer than two people have enough of them, unless it is a ``person`` who is asked for.
+    """
+    split = [match for label in labels if (match := _PERSON_BEHIND.fullmatch(label)) is not None]
+    if person is not None and not any(label.startswith(person) for label in labels):
+        everybody = {match[2] for match in split}
+        return everybody if person in everybody else set()
+    counts = Counter(
+        match[2] for match in split if plain(match[1]) in meant and match[2].lower() not in _SIDES
+    )
+    without = sum(plain(label) in meant for label in labels)
+    people = {person for person, count in counts.items() if count >= max(without, 1) and count >= _ONE_MORE}
+    return people if len(people) > 1 else set()
+
+
+def _person_first(label: str, people: Collection[str]) -> str:
+    """Return a label with the person before the marker."""
+    match = _PERSON_BEHIND.fullmatch(label)
+    return f"{match[2]}:{match[1]}" if match is not None and match[2] in people else label
 
 
 def _bare(labels: Sequence[str]) -> list[str]:

@@ -8,26 +8,29 @@ from pathlib import Path
 import numpy as np
 
 from devices.marker_files.naming import without_prefixes
-from devices.marker_files.trial import METRES, FloatArray, MarkerTrial, label_notes, seen_points
+from devices.marker_files.trial import METRES, FloatArray, MarkerTrial, label_notes, metres_of, seen_points
 from devices.vendor_formats.sheets import FormatError, read_lines
 
+FIRST_WORD = "PathFileType"
 _FRAME_NUMBER = re.compile(r"\"?\d+([.,]0*)?\"?")
 _HEAD_LINES = 5
 _LEADING = 2  # frame number, time
 _LATEST_S = 1e6
 _SAME_RATE = 0.02
-_NOT_SEEN = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "missing"})
-"""Small letters, of fields that hold no number."""
+_MOST_TEXT = 0.5
+"""Of a frame's fields that are no numbers; beyond it the line is no frame."""
 
 
 def read_trc(path: Path) -> MarkerTrial:
     """Read all markers of a file. Raises ``FormatError`` naming the line, and what was found there.
 
-    Empty fields, and three zeros, are a marker that was not seen.
+    Empty fields, fields that hold no number, and three times the same number are a marker that was not seen.
     """
     lines = read_lines(path)
-    if not lines[0].startswith("PathFileType"):
-        raise FormatError(f"{path}: line 1: not a TRC file: it begins with 'PathFileType'")
+    if not lines[0].startswith(FIRST_WORD):
+        raise FormatError(
+            f"{path}: line 1: not a TRC file, which begins with '{FIRST_WORD}': export it again"
+        )
     if len(lines) < _HEAD_LINES:
         raise FormatError(f"{path}: cut off: {len(lines)} lines, of which a header alone takes {_HEAD_LINES}")
     if "\t" not in lines[3]:
@@ -68,10 +71,10 @@ def _rows(lines: list[str], begin: int, n_values: int, path: Path) -> tuple[list
     while own and not _FRAME_NUMBER.fullmatch(own[-1][1].split("\t")[0].strip()):
         number, line = own.pop()
         notes = [f"{path}: from line {number} on text and no frames: left out"]
-    rows = []
+    rows, texts = [], list[str]()
     for at, (number, line) in enumerate(own):
         try:
-            rows.append(_row(line, number, n_values, path))
+            rows.append(_row(line, number, n_values, path, texts))
         except FormatError:
             # Only the last line can have been cut off; another one like it is damage.
             if at < len(own) - 1 or not rows:
@@ -79,6 +82,8 @@ def _rows(lines: list[str], begin: int, n_values: int, path: Path) -> tuple[list
             notes.append(f"{path}: line {number}, the last one, is cut off: left out")
     if not rows:
         raise FormatError(f"{path}: cut off: no frame behind its header")
+    if texts:
+        notes.append(f"{path}: {len(texts)} coordinates are no numbers ('{texts[0]}'): not seen there")
     return rows, notes
 
 
@@ -132,27 +137,52 @@ def _positive(head: dict[str, str], name: str, path: Path) -> float:
 
 
 def _metres_per_unit(head: dict[str, str], path: Path) -> float:
-    unit = head["Units"].lower()
-    if unit not in METRES:
+    metres = metres_of(head["Units"])
+    if metres is None:
         raise FormatError(f"{path}: line 3: Units is '{head['Units']}': one of {', '.join(METRES)} is wanted")
-    return METRES[unit]
+    return metres
 
 
-def _row(line: str, number: int, n_values: int, path: Path) -> list[float]:
+def _row(line: str, number: int, n_values: int, path: Path, texts: list[str]) -> list[float]:
+    """Return the coordinates of a frame, NaN where a field holds none; fields of text are added to ``texts``.
+
+    Raises ``FormatError`` where their number is another, and where most are text.
+    """
     fields = line.rstrip("\r\n").split("\t")[_LEADING:]
     while len(fields) > n_values and not fields[-1].strip():
         fields.pop()
     # a row may leave out the tabs of markers at its end that were not seen
     fields += [""] * (-len(fields) % 3 if len(fields) < n_values else 0)
     if len(fields) != n_values:
-        raise FormatError(f"{path}: line {number}: {len(fields)} coordinates where {n_values} are wanted")
+        raise FormatError(
+            f"{path}: line {number}: {len(fields)} coordinates where {n_values} are wanted: "
+            "three a marker that line 4 names"
+        )
+    values = [_value(field) for field in fields]
+    own = [field.strip() for field, value in zip(fields, values, strict=True) if value is None]
+    if len(own) > _MOST_TEXT * n_values:
+        raise FormatError(f"{path}: line {number}: '{own[0]}' and others are no numbers")
+    texts += own
+    return [np.nan if value is None else value for value in values]
+
+
+def _value(field: str) -> float | None:
+    """NaN for an empty field, None for one that is no number."""
     try:
-        return [_number(field) for field in fields]
-    except ValueError as error:
-        raise FormatError(f"{path}: line {number}: {error}") from error
+        return _number(field)
+    except ValueError:
+        return None
 
 
 def _number(field: str) -> float:
-    """Return a number with decimal point or comma; NaN for none. Raises ``ValueError``."""
+    """Return a number with decimal point or comma; where both occur, the last one parts the decimals.
+
+    NaN for an empty field. Raises ``ValueError``.
+    """
     text = field.strip().strip("\"'")
-    return np.nan if text.lower() in _NOT_SEEN else float(text.replace(",", "."))
+    if not text:
+        return np.nan
+    if "," in text and "." in text:
+        thousands = min(",", ".", key=text.rindex)
+        text = text.replace(thousands, "")
+    return float(text.replace(",", "."))

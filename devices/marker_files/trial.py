@@ -58,14 +58,15 @@ class MarkerTrial:
 
 
 FARTHEST_M = 1000.0
-"""From the origin. Some programs write 9999999 where a marker was not seen."""
+"""From the origin."""
 
 
 def seen_points(points: FloatArray) -> FloatArray:
-    """Return points (F, M, 3) m, NaN where all coordinates are zero, one is no number, or one is farther away
-    than ``FARTHEST_M``."""
+    """Return points (F, M, 3) m, NaN where one coordinate is no number or farther away than ``FARTHEST_M``,
+    or all three are the same number: 0, -9999 or 9999999, by which programs tell that a marker was not
+    seen."""
     with np.errstate(invalid="ignore"):
-        is_seen = (points != 0).any(axis=2) & (np.abs(points) <= FARTHEST_M).all(axis=2)
+        is_seen = (points != points[..., :1]).any(axis=2) & (np.abs(points) <= FARTHEST_M).all(axis=2)
     return np.where(is_seen[..., None], points, np.nan)
 
 
@@ -78,5 +79,16 @@ def label_notes(labels: Sequence[str], source: object) -> tuple[str, ...]:
     return (f"{source}: several markers are called {', '.join(twice)}: the first of each counts",)
 
 
-METRES = {"m": 1.0, "meters": 1.0, "metres": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Of the units that marker files name."""
+_UNIT_NAMES = {
+    "meter": "m", "metre": "m", "centimeter": "cm", "centimetre": "cm", "millimeter": "mm",
+    "millimetre": "mm", "inch": "in", "inche": "in", "foot": "ft", "feet": "ft",
+}  # fmt: skip
+"""Written out, in small letters and without an s at the end."""
+
+
+def metres_of(unit: str) -> float | None:
+    """Return the length of a unit by its sign or name, in m; None for one that is not known."""
+    name = unit.strip().lower()
+    return METRES.get(_UNIT_NAMES.get(name.removesuffix("s"), name))

@@ -103,7 +103,7 @@ def analyse(
     measured: MeasuredForces | None = None,
     tell: Tell | None = None,
 ) -> Analysis:
-    """Everything but muscles. measured: None where the floor's forces are to be estimated.
+    """Analyse everything but muscles. measured: None where the floor's forces are to be estimated.
 
     Raises ``GatewayError`` for a motion too short, a cut-off too high, or without mujoco.
     """
@@ -124,7 +124,7 @@ def analyse_motion(
     measured: MeasuredForces | None = None,
     tell: Tell | None = None,
 ) -> Analysis:
-    """As ``analyse``, of a motion that is smooth already."""
+    """Analyse a motion that is smooth already, as ``analyse`` does."""
     progress_of = tell or (lambda _: lambda _done, _total: None)
     skeleton = motion.skeleton
     progress = progress_of("inverse dynamics without the floor")
@@ -164,7 +164,7 @@ def _floor(
 
 
 def _derivatives(time_s: FloatArray, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """First and second, by time; NaN where there is no angle."""
+    """Return the first and second derivative by time; NaN where there is no angle."""
     flat = angles.reshape(len(angles), -1)
     first, second = np.full((2, *flat.shape), np.nan)
     known = np.isfinite(flat).all(axis=0)
@@ -175,7 +175,7 @@ def _derivatives(time_s: FloatArray, angles: FloatArray) -> tuple[FloatArray, Fl
 
 
 def _power(skeleton: Skeleton, motion: SmoothMotion, dynamics: Dynamics) -> FloatArray:
-    """(F, J) W of moment and rate against the parent, at each joint's distal segment."""
+    """Return (F, J) W of moment and rate against the parent, at each joint's distal segment."""
     distal = [joint.distal for joint in skeleton.joints]
     turned = dynamics.rotation_wb[:, distal]
     rates = np.einsum("fjik,fjk->fji", turned, motion.angular_velocity[:, distal])

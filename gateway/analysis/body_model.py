@@ -29,7 +29,7 @@ def require_biomech() -> None:
 
 
 def body_mjcf(skeleton: Skeleton, inertia: BodyInertia, gravity: FloatArray) -> str:
-    """The model's text. gravity: (3,) m/s², world axes."""
+    """Return the model's text. gravity: (3,) m/s², world axes."""
     model = Element("mujoco", model=skeleton.name)
     SubElement(model, "compiler", angle="radian", balanceinertia="false")
     option = SubElement(model, "option", gravity=_text(gravity))
@@ -51,7 +51,8 @@ def body_mjcf(skeleton: Skeleton, inertia: BodyInertia, gravity: FloatArray) -> 
 
 
 def compiled_model(skeleton: Skeleton, inertia: BodyInertia, gravity: FloatArray) -> Any:
-    """``mujoco.MjModel``. Raises ``GatewayError`` without mujoco, or for masses that no body can have."""
+    """Return ``mujoco.MjModel``. Raises ``GatewayError`` without mujoco, or for masses that no body
+    can have."""
     require_biomech()
     import mujoco  # noqa: PLC0415 - an extra
 

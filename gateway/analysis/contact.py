@@ -60,7 +60,7 @@ def estimated_floor(
     progress: Progress | None = None,
     instants: range | None = None,
 ) -> FloorForces:
-    """Forces of feet for which none is known. free: the dynamics without any floor.
+    """Return forces of feet for which none is known. free: the dynamics without any floor.
 
     known: measured forces; where a foot's is ``MEASURED`` it stays, and only the rest is shared out.
     instants: frames that are wanted, nothing is estimated at others; None: all.
@@ -103,7 +103,7 @@ def estimated_floor(
 
 
 def stances(time_s: FloatArray, paths: FloatArray, height_m: float, settings: ContactSettings) -> FloatArray:
-    """(F, P) from 0 to 1: how surely points with these paths (F, P, 3) carry."""
+    """Return (F, P) from 0 to 1: how surely points with these paths (F, P, 3) carry."""
     speed = np.linalg.norm(np.gradient(paths, time_s, axis=0), axis=-1)
     above = paths[..., 2] - height_m
     low = expit((settings.height_m - above) / settings.height_spread_m)
@@ -113,7 +113,8 @@ def stances(time_s: FloatArray, paths: FloatArray, height_m: float, settings: Co
 
 
 def with_unknown(motion: SmoothMotion, free: Dynamics, floor: FloorForces) -> FloorForces:
-    """The same, told where a foot stands whose force nothing tells. free: the dynamics without any floor."""
+    """Return the same, told where a foot stands whose force nothing tells. free: the dynamics without any
+    floor."""
     carriers, points = sole_points(motion.skeleton)
     if not len(carriers) or not len(floor.segments):
         return floor
@@ -127,8 +128,8 @@ def with_unknown(motion: SmoothMotion, free: Dynamics, floor: FloorForces) -> Fl
 def smooth_split(
     time_s: FloatArray, standing: FloatArray, places: IntArray, settings: ContactSettings
 ) -> FloatArray:
-    """(F, C) share of each of two feet in the load while one stands alone, or takes over from the other; NaN
-    elsewhere: in standing on both, in flight, and for other bodies.
+    """Return (F, C) share of each of two feet in the load while one stands alone, or takes over from the
+    other; NaN elsewhere: in standing on both, in flight, and for other bodies.
 
     standing: (F, P). places: (P,) which foot each point belongs to.
     """
@@ -160,7 +161,8 @@ def _shared(
     share: FloatArray,
     settings: ContactSettings,
 ) -> FloatArray:
-    """(P, 3) N on points at arms (P, 3) from the root, that make a force and moment (6,) as well as they may.
+    """Return (P, 3) N on points at arms (P, 3) from the root, that make a force and moment (6,) as well as
+    they may.
 
     places: (P,) the foot of each point. share: (C,) of the load that each foot is to have; NaN: as it comes.
     """

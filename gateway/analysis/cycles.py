@@ -46,7 +46,7 @@ class Stride(NamedTuple):
         return self.length_m / self.duration_s
 
     def percent_at(self, time_s: float) -> float:
-        """Where in the stride an instant lies."""
+        """Return where in the stride an instant lies."""
         return 100.0 * (time_s - self.start_s) / self.duration_s
 
 
@@ -111,7 +111,7 @@ def stance_spans(
 
 
 def cycles(values: FloatArray, time_s: FloatArray, own: Sequence[Stride]) -> Cycles:
-    """Values (F,) over the strides of one foot; NaN stays where it is."""
+    """Return values (F,) over the strides of one foot; NaN stays where it is."""
     curves = [
         np.interp(stride.start_s + 0.01 * PERCENT * stride.duration_s, time_s, values) for stride in own
     ]
@@ -119,7 +119,8 @@ def cycles(values: FloatArray, time_s: FloatArray, own: Sequence[Stride]) -> Cyc
 
 
 def foot_of(skeleton: Skeleton, joint: int) -> str | None:
-    """The foot whose strides a joint's curves are told by: that at the end of its limb; None for others."""
+    """Return the foot whose strides a joint's curves are told by: that at the end of its limb; None for
+    others."""
     names = skeleton.segment_names
     segment = skeleton.joints[joint].distal
     for s, name in enumerate(names):
@@ -139,6 +140,7 @@ def _side(name: str) -> str:
 
 
 def normal_band(joint: str, angle: str) -> FloatArray | None:
-    """(51, 3) percent, mean and standard deviation of published gait, degrees; None where there is none."""
+    """Return (51, 3) percent, mean and standard deviation of published gait, degrees; None where there is
+    none."""
     published: Mapping[str, FloatArray] = normal_gait()
     return published.get(f"{joint.removeprefix('left_').removeprefix('right_')}_{angle}")

@@ -43,7 +43,7 @@ class Scene:
 
 
 def require_opencv() -> Any:
-    """The module ``cv2``. Raises ``GatewayError`` where it is not installed."""
+    """Return the module ``cv2``. Raises ``GatewayError`` where it is not installed."""
     try:
         import cv2  # noqa: PLC0415 - an extra
     except ImportError:
@@ -91,7 +91,7 @@ def draw(found: Analysis, muscles: MuscleResult | None, frame: int, scene: Scene
 
 
 def _side_text(side: str, time_s: float, scene: Scene) -> str:
-    """A side's name, with where in its stride the foot is, as far as that is known."""
+    """Return a side's name, with where in its stride the foot is, as far as that is known."""
     own = (each for each in scene.strides if each.foot.startswith(side))
     stride = next((each for each in own if each.start_s <= time_s <= each.end_s), None)
     if stride is None:
@@ -101,7 +101,7 @@ def _side_text(side: str, time_s: float, scene: Scene) -> str:
 
 
 def png(picture: Picture) -> bytes:
-    """A picture as PNG."""
+    """Return a picture as PNG."""
     _, data = require_opencv().imencode(".png", picture)
     return bytes(data.tobytes())
 
@@ -122,7 +122,7 @@ class _View:
         self._cv2.line(self._picture, (self._left + 8, y), (self._left + _PANE - 8, y), _FLOOR, 1)
 
     def points(self, places: FloatArray) -> NDArray[np.int32]:
-        """(n, 1, 2) in parts of pixels, of places (n, 3) m."""
+        """Return (n, 1, 2) in parts of pixels, of places (n, 3) m."""
         scale = self._scene.pixels_per_m
         x = self._left + 0.5 * _PANE + scale * (places @ self._across - self._middle)
         y = HEIGHT - 30 - scale * (places[:, 2] - self._scene.floor_m)

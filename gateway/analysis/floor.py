@@ -46,12 +46,12 @@ class FloorForces:
     """Sentences on what is doubtful."""
 
     def total(self) -> FloatArray:
-        """(F, 3) N."""
+        """Return (F, 3) N."""
         summed: FloatArray = self.force.sum(axis=1)
         return summed
 
     def known_beyond(self, skeleton: Skeleton) -> NDArray[np.bool_]:
-        """(F, S) whether the force on every foot that hangs on a segment, or is it, is known."""
+        """Return (F, S) whether the force on every foot that hangs on a segment, or is it, is known."""
         known = np.ones((len(self.source), skeleton.n_segments), dtype=bool)
         for c, foot in enumerate(self.segments.tolist()):
             segment = foot
@@ -61,12 +61,12 @@ class FloorForces:
         return known
 
     def part(self, instants: slice) -> FloorForces:
-        """Those of some instants."""
+        """Return those of some instants."""
         force, moment, source = self.force[instants], self.moment[instants], self.source[instants]
         return replace(self, force=force, moment=moment, source=source, height_m=self.height_m[instants])
 
     def centre_of_pressure(self) -> FloatArray:
-        """(F, C, 3) m on the floor; NaN where there is no force to speak of."""
+        """Return (F, C, 3) m on the floor; NaN where there is no force to speak of."""
         up = np.where(self.force[..., 2] < LEAST_FORCE_N, np.nan, self.force[..., 2])
         x = (self.height_m * self.force[..., 0] - self.moment[..., 1]) / up
         y = (self.height_m * self.force[..., 1] + self.moment[..., 0]) / up
@@ -74,13 +74,13 @@ class FloorForces:
 
 
 def feet(skeleton: Skeleton) -> IntArray:
-    """Indices of the segments that stand on the floor: those named feet, else those with contacts."""
+    """Return indices of the segments that stand on the floor: those named feet, else those with contacts."""
     named = [s for s, name in enumerate(skeleton.segment_names) if part_name(name) == "foot"]
     return np.array(named or sorted({s for s, _ in skeleton.contacts}), dtype=np.int64)
 
 
 def sole_points(skeleton: Skeleton) -> tuple[IntArray, FloatArray]:
-    """Segments (P,) and places (P, 3) m in their axes of the points of all soles.
+    """Return segments (P,) and places (P, 3) m in their axes of the points of all soles.
 
     Of a person heel, ball and toe tip by the stature of the legs, left and right; of other bodies the
     contacts of the body file.
@@ -101,7 +101,7 @@ def sole_points(skeleton: Skeleton) -> tuple[IntArray, FloatArray]:
 def sole_paths(
     carriers: IntArray, points: FloatArray, p_w: FloatArray, rotation_wb: FloatArray
 ) -> FloatArray:
-    """(F, P, 3) m of points (P, 3) of segments (P,); p_w (F, S, 3), rotation_wb (F, S, 3, 3)."""
+    """Return (F, P, 3) m of points (P, 3) of segments (P,); p_w (F, S, 3), rotation_wb (F, S, 3, 3)."""
     paths: FloatArray = p_w[:, carriers] + np.einsum("fpij,pj->fpi", rotation_wb[:, carriers], points)
     return paths
 

@@ -44,7 +44,7 @@ def gait_events(skeleton: Skeleton, floor: FloorForces, time_s: FloatArray) -> l
 
 
 def _loads(floor: FloorForces, foot: int) -> NDArray[np.bool_]:
-    """(F,) whether a foot bears a load.
+    """Return (F,) whether a foot bears a load.
 
     An estimated force is the motion's need less what plates measured: a wrong mass leaves a little of it on a
     foot in the air, so it has to be a share of the largest.
@@ -58,7 +58,7 @@ def _loads(floor: FloorForces, foot: int) -> NDArray[np.bool_]:
 
 
 def _stances(stands: NDArray[np.bool_], time_s: FloatArray) -> list[tuple[int, int]]:
-    """First and last frame of every load (F,), short breaks closed and short loads left out."""
+    """Return first and last frame of every load (F,), short breaks closed and short loads left out."""
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
     for value, shortest in ((False, _SHORTEST_SWING_S), (True, _SHORTEST_STANCE_S)):
         for first, last in _runs(stands == value):

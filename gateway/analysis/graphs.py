@@ -18,22 +18,22 @@ SIDE_COLOURS = {"left": "#a03c96", "right": "#00789b"}
 
 
 def angles(found: Analysis) -> bytes:
-    """Of every joint, degrees."""
+    """Draw the angles of every joint, degrees."""
     return _by_joint(found, np.degrees(found.angles))
 
 
 def rates(found: Analysis) -> bytes:
-    """Of every joint's angles, degrees a second."""
+    """Draw the rates of every joint's angles, degrees a second."""
     return _by_joint(found, np.degrees(found.angle_rates))
 
 
 def torques(found: Analysis) -> bytes:
-    """Of every joint, N m a kilogram of the person."""
+    """Draw the torques of every joint, N m a kilogram of the person."""
     return _by_joint(found, found.known_torques / found.inertia.body_kg)
 
 
 def powers(found: Analysis) -> bytes:
-    """Of every joint, W a kilogram."""
+    """Draw the power of every joint, W a kilogram."""
     power = found.known_power / found.inertia.body_kg
     return small_multiples(
         found.time_s,
@@ -43,8 +43,8 @@ def powers(found: Analysis) -> bytes:
 
 
 def gait(found: Analysis, unit: str) -> bytes | None:
-    """Curves of a unit (``deg``, ``n_m_per_kg``, ``w_per_kg``) by percent of the stride, left and right over
-    the published band; None where no stride tells any."""
+    """Draw curves of a unit (``deg``, ``n_m_per_kg``, ``w_per_kg``) by percent of the stride, left and
+    right over the published band; None where no stride tells any."""
     curves = [curve for curve in gait_curves(found) if curve.unit == unit]
     titles = list(dict.fromkeys(curve.title for curve in curves))
     if not titles:
@@ -95,7 +95,7 @@ def floor(found: Analysis) -> bytes:
 
 
 def centre_of_mass(found: Analysis) -> bytes:
-    """Its path from where it began, and its velocity."""
+    """Draw the path of the centre of mass from where it began, and its velocity."""
     figure, axes = panels(2, 2.4)
     path = found.dynamics.centre_of_mass
     _lines(axes[0], found.time_s, path - path[0])
@@ -122,7 +122,7 @@ def muscle_map(found: Analysis, muscles: MuscleResult) -> bytes:
 
 
 def tensions(found: Analysis, muscles: MuscleResult) -> bytes:
-    """Of the muscles that pull most, left and right together, N."""
+    """Draw the tension of the muscles that pull most, left and right together, N."""
     stems = [name[:-2] for name in muscles.names if name.endswith("_l")]
     largest = {
         stem: max(muscles.tension[:, muscles.names.index(f"{stem}_{side}")].max() for side in "lr")

@@ -50,7 +50,7 @@ class InverseDynamics:
         self._states = self._stacked(motion)
 
     def at(self, frame: int) -> FloatArray:
-        """(6 + 3 (S − 1),) generalised forces of an instant without the floor; leaves its state in
+        """Return (6 + 3 (S − 1),) generalised forces of an instant without the floor; leaves its state in
         ``data``."""
         data = self.data
         data.qpos[:], data.qvel[:], data.qacc[:] = (values[frame] for values in self._states)
@@ -68,7 +68,7 @@ class InverseDynamics:
         return into
 
     def moments(self, forces: FloatArray) -> FloatArray:
-        """(S, 3) N m in world axes, of generalised forces at the instant in ``data``."""
+        """Return (S, 3) N m in world axes, of generalised forces at the instant in ``data``."""
         turned = self.data.xmat[self._bodies].reshape(-1, 3, 3)
         own = np.stack([forces[at + 3 : at + 6] if s == self._root else forces[at : at + 3]
                         for s, at in enumerate(self._rate)])  # fmt: skip
@@ -76,23 +76,23 @@ class InverseDynamics:
         return found
 
     def root_force(self, forces: FloatArray) -> FloatArray:
-        """(3,) N at the root, of generalised forces."""
+        """Return (3,) N at the root, of generalised forces."""
         at = self._rate[self._root]
         return forces[at : at + 3]
 
     def places(self) -> tuple[FloatArray, FloatArray]:
-        """(S, 3) m proximal joints, and (S, 3, 3) segment to world, of the instant in ``data``."""
+        """Return (S, 3) m proximal joints, and (S, 3, 3) segment to world, of the instant in ``data``."""
         turned = self.data.xmat[self._bodies].reshape(-1, 3, 3)
         return self.data.xpos[self._bodies].copy(), turned.copy()
 
     def centre_of_mass(self) -> tuple[FloatArray, FloatArray]:
-        """(3,) m, and (3,) m/s, of the instant in ``data``."""
+        """Return (3,) m, and (3,) m/s, of the instant in ``data``."""
         self._mujoco.mj_subtreeVel(self.model, self.data)
         root = self._bodies[self._root]
         return self.data.subtree_com[root].copy(), self.data.subtree_linvel[root].copy()
 
     def _stacked(self, motion: SmoothMotion) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """qpos, qvel, qacc of all instants."""
+        """Return qpos, qvel, qacc of all instants."""
         count = len(motion.time_s)
         position = np.zeros((count, self.model.nq))
         rate, change = np.zeros((2, count, self.model.nv))
@@ -114,7 +114,7 @@ def inverse_dynamics(
     floor: FloorForces | None = None,
     progress: Progress | None = None,
 ) -> Dynamics:
-    """The moments of all joints over a motion. Raises ``GatewayError`` without mujoco."""
+    """Return the moments of all joints over a motion. Raises ``GatewayError`` without mujoco."""
     solver = InverseDynamics(motion, inertia, gravity)
     frames, segments = motion.rotation.shape[:2]
     moment, p_w = np.zeros((2, frames, segments, 3))

@@ -17,7 +17,7 @@ from gateway.frames import FloatArray
 
 
 def angle_axes(skeleton: Skeleton, angles: FloatArray, rotation_wb: FloatArray) -> FloatArray:
-    """(F, J, 3, 3) unit world axis of each joint's each angle; NaN beyond a joint's last angle.
+    """Return (F, J, 3, 3) unit world axis of each joint's each angle; NaN beyond a joint's last angle.
 
     angles: (F, J, 3) rad. rotation_wb: (F, S, 3, 3).
     """
@@ -32,7 +32,7 @@ def angle_axes(skeleton: Skeleton, angles: FloatArray, rotation_wb: FloatArray) 
 
 
 def joint_torques(skeleton: Skeleton, axes: FloatArray, moment: FloatArray) -> FloatArray:
-    """(F, J, 3) N m, each driving its angle in the sense of its name; NaN beyond a joint's last angle.
+    """Return (F, J, 3) N m, each driving its angle in the sense of its name; NaN beyond a joint's last angle.
 
     axes: of ``angle_axes``. moment: (F, S, 3) N m, world, on each segment at its proximal joint.
     """
@@ -61,6 +61,6 @@ def _turned(vectors: FloatArray, axis: FloatArray) -> FloatArray:
 
 
 def _rotations(vectors: FloatArray) -> FloatArray:
-    """(F, 3, 3) of rotation vectors (F, 3), rad."""
+    """Return (F, 3, 3) of rotation vectors (F, 3), rad."""
     turned: FloatArray = Rotation.from_rotvec(vectors).as_matrix()
     return turned

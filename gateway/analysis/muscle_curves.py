@@ -28,7 +28,8 @@ class Curves(StrEnum):
 
 
 def force_shares(paths: MusclePaths, lengths: FloatArray, time_s: FloatArray, curves: Curves) -> FloatArray:
-    """(F, W) of the largest force, 0.02 to about 1.4, of wires of these lengths (F, W) m at instants (F,)."""
+    """Return (F, W) of the largest force, 0.02 to about 1.4, of wires of these lengths (F, W) m at instants
+    (F,)."""
     if curves is Curves.NONE:
         return np.ones_like(lengths)
     import mujoco  # noqa: PLC0415 - an extra
@@ -47,7 +48,7 @@ def force_shares(paths: MusclePaths, lengths: FloatArray, time_s: FloatArray, cu
 
 
 def _standing_lengths(paths: MusclePaths) -> FloatArray:
-    """(W,) m in the posture in which all segments' axes are parallel, as in the model."""
+    """Return (W,) m in the posture in which all segments' axes are parallel, as in the model."""
     still = np.tile([1.0, 0.0, 0.0, 0.0], (paths.skeleton.n_segments, 1))
     paths.place(np.zeros(3), still, dict.fromkeys(SIDES, 0.0))
     return paths.lengths()

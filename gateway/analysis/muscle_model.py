@@ -124,7 +124,7 @@ class _Reader:
         self._hips = {"left_": hips[0], "right_": hips[1], "": 0.5 * (hips[0] + hips[1])}
 
     def muscles(self) -> MuscleModel:
-        """All wires, each point in the axes of its body from the joint that the body hangs on."""
+        """Return all wires, each point in the axes of its body from the joint that the body hangs on."""
         model = self._model
         wires = []
         for i in range(model.nu):
@@ -149,7 +149,7 @@ class _Reader:
         )  # fmt: skip
 
     def _at(self, body: str) -> FloatArray:
-        """(3,) m, where a body's origin is, in the axes of all bodies."""
+        """Return (3,) m, where a body's origin is, in the axes of all bodies."""
         place: FloatArray = self._axes.T @ self._places[self._model.body(body).id]
         return place
 
@@ -170,8 +170,8 @@ class _Reader:
         return WirePoint(segment, place, turn, radius, kind == WRAP_SPHERE, beside, side_segment)
 
     def _placed(self, body: int, position: FloatArray, muscle_side: str) -> tuple[str, FloatArray]:
-        """Our segment, and the place from its proximal joint; on the pelvis and the trunk from the hip of the
-        muscle's side, or the middle of both for muscles of the trunk."""
+        """Return our segment, and the place from its proximal joint; on the pelvis and the trunk from the hip
+        of the muscle's side, or the middle of both for muscles of the trunk."""
         name = self._model.body(body).name
         side = _side(name)
         segment = _SEGMENTS[name.removesuffix(name[-2:]) if side else name]
@@ -200,5 +200,5 @@ class _Reader:
 
 
 def _side(name: str) -> str:
-    """``left_``, ``right_`` or empty, by the end of a name of the model."""
+    """Return ``left_``, ``right_`` or empty, by the end of a name of the model."""
     return _SIDES.get(name[-2:], "")

@@ -58,12 +58,12 @@ class MusclePaths:
         self._mujoco.mj_tendon(self.model, data)
 
     def moments(self, segment: int) -> FloatArray:
-        """(W, 3) N m in the segment's axes at its proximal joint, for one newton in each wire."""
+        """Return (W, 3) N m in the segment's axes at its proximal joint, for one newton in each wire."""
         begin = self._rates[segment] + (3 if self.skeleton.parents[segment] < 0 else 0)
         return -self._jacobian()[:, begin : begin + 3]
 
     def patella_moments(self, side: str, flexion: float) -> FloatArray:
-        """(W,) N m that one newton in each wire gives to the knee's flexion by way of the patella."""
+        """Return (W,) N m that one newton in each wire gives to the knee's flexion by way of the patella."""
         jacobian = self._jacobian()
         total = np.zeros(len(self.wires))
         for joint, row, size in zip(_JOINTS, self._muscles.patella[side], self._patella_sizes(), strict=True):
@@ -72,7 +72,7 @@ class MusclePaths:
         return total
 
     def lengths(self) -> FloatArray:
-        """(W,) m."""
+        """Return (W,) m."""
         lengths: FloatArray = self.data.ten_length[self._tendons].copy()
         return lengths
 
@@ -86,7 +86,7 @@ class MusclePaths:
         ]
 
     def _jacobian(self) -> FloatArray:
-        """(W, nv) change of length by rates."""
+        """Return (W, nv) change of length by rates."""
         model = self.model
         dense = np.zeros((model.ntendon, model.nv))
         self._mujoco.mju_sparse2dense(
@@ -157,7 +157,8 @@ class _Scaling:
         self._trunk = placed[names.index("thorax")] - pelvis if "thorax" in names else np.zeros(3)
 
     def placed(self, segment: str, position: FloatArray, name: str) -> FloatArray:
-        """(3,) m on the person's segment. name: of the wire's point, which begins with the muscle's."""
+        """Return (3,) m on the person's segment. name: of the wire's point, which begins with the
+        muscle's."""
         if segment in self._tips:
             bone = self._model_tips[segment]
             along = float(position @ bone / (bone @ bone))
@@ -171,19 +172,19 @@ class _Scaling:
         return scaled
 
     def patella(self, side: str) -> FloatArray:
-        """(3,) m where the patella's way begins, in axes of the thigh."""
+        """Return (3,) m where the patella's way begins, in axes of the thigh."""
         begun: FloatArray = self._tips[f"{side}thigh"] + self.size * self._patella_at[side]
         return begun
 
 
 def absent_segments(skeleton: Skeleton) -> list[str]:
-    """Segments that muscles need and the body does not have."""
+    """Return segments that muscles need and the body does not have."""
     wanted = ["pelvis", *(side + part for side in SIDES for part in ("thigh", "shank", "foot"))]
     return [name for name in wanted if name not in skeleton.segment_names]
 
 
 def _hip_of(name: str) -> str:
-    """The hip that a muscle's points on the pelvis are told from."""
+    """Return the hip that a muscle's points on the pelvis are told from."""
     return "" if name.startswith(TRUNK) else "left_" if "_l_" in name else "right_"
 
 

@@ -72,7 +72,7 @@ class MuscleCosts:
 
 
 def plain_costs(names: tuple[str, ...], frames: int) -> MuscleCosts:
-    """All alike."""
+    """Return costs that are alike for all muscles."""
     zero = np.zeros((frames, len(names)))
     return MuscleCosts(np.ones(len(names)), zero, np.ones_like(zero), np.zeros(len(names), dtype=bool))
 

@@ -49,7 +49,7 @@ class MuscleResult:
 
 
 def muscle_torques(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
-    """(joint, angle) of the torques that muscles of legs and trunk are asked for, by ``ASKED``. Raises
+    """Return (joint, angle) of the torques that muscles of legs and trunk are asked for, by ``ASKED``. Raises
     ``GatewayError`` for a body without them."""
     chosen = []
     names = skeleton.segment_names
@@ -64,7 +64,7 @@ def muscle_torques(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
 
 
 def has_muscles(skeleton: Skeleton) -> bool:
-    """Whether the body has the segments that the muscles of legs and trunk pull at."""
+    """Return whether the body has the segments that the muscles of legs and trunk pull at."""
     return not absent_segments(skeleton)
 
 
@@ -112,7 +112,7 @@ def moment_arms(
     axes: FloatArray,
     flexion: dict[str, float],
 ) -> FloatArray:
-    """(R, W) m: the work of each wire's newton on each angle, in the posture that paths are in.
+    """Return (R, W) m: the work of each wire's newton on each angle, in the posture that paths are in.
 
     asked: of ``muscle_torques``. rotation_wb: (S, 3, 3). axes: (J, 3, 3) of the angles, world. flexion: of
     the knees by side, rad.
@@ -130,7 +130,7 @@ def moment_arms(
 
 
 def knee_flexion(skeleton: Skeleton, angles: FloatArray) -> dict[str, FloatArray]:
-    """(F,) rad of the knees' flexion by side, of all angles (F, J, 3)."""
+    """Return (F,) rad of the knees' flexion by side, of all angles (F, J, 3)."""
     names = skeleton.segment_names
     return {
         side: angles[:, j, 0]

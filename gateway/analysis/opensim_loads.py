@@ -50,7 +50,7 @@ def _write_forces(found: Analysis, names: list[str], path: Path) -> None:
 
 
 def _y_up(vectors: FloatArray) -> FloatArray:
-    """(F, 3) of a world with z up, as exports turn it."""
+    """Return (F, 3) of a world with z up, as exports turn it."""
     return np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], axis=1)
 
 

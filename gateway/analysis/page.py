@@ -33,7 +33,7 @@ def write_page(found: Analysis, muscles: MuscleResult | None, target: Path, film
 
 
 def page(found: Analysis, muscles: MuscleResult | None = None, film: Path | None = None) -> str:
-    """The page as text."""
+    """Return the page as text."""
     return document(f"Analysis of {found.name}", "\n".join(_sections(found, muscles, film)))
 
 
@@ -64,7 +64,7 @@ def _sections(found: Analysis, muscles: MuscleResult | None, film: Path | None) 
 
 
 def _pictures(found: Analysis, muscles: MuscleResult | None, film: Path | None) -> Iterator[str]:
-    """The film, or single pictures of it where there is none."""
+    """Return the film, or single pictures of it where there is none."""
     if film is not None:
         data = base64.b64encode(film.read_bytes()).decode()
         yield f'<h2>Motion</h2><video controls loop muted src="data:video/webm;base64,{data}"></video>'
@@ -76,7 +76,7 @@ def _pictures(found: Analysis, muscles: MuscleResult | None, film: Path | None) 
 
 
 def _gait(found: Analysis) -> Iterator[str]:
-    """Strides as figures, and curves by percent of them; nothing where nobody walks."""
+    """Return strides as figures, and curves by percent of them; nothing where nobody walks."""
     if not found.strides:
         return
     yield "<h2>Gait</h2>" + _stride_table(found)
@@ -123,7 +123,7 @@ def _spread(values: list[float], digits: int) -> str:
 
 
 def _extremes(torque: FloatArray, kg: float) -> tuple[str, str, str]:
-    """Least, most and largest for each kilogram, of what is known of a torque (F,)."""
+    """Return least, most and largest for each kilogram, of what is known of a torque (F,)."""
     known = torque[np.isfinite(torque)]
     if not len(known):
         return "–", "–", "–"

@@ -40,7 +40,8 @@ than the first in more than the third of a step's frames."""
 def measured_floor(
     plates: ForcePlates, vertical: str, motion: SmoothMotion, free: Dynamics, cutoff_hz: float | None
 ) -> FloorForces:
-    """Forces of the feet from plates whose file has the given axis up, and counts time as the motion does.
+    """Return forces of the feet from plates whose file has the given axis up, and counts time as the motion
+    does.
 
     Frames at which the plates were not sampled have none.
     cutoff_hz: of a low-pass without lag; that of the motion keeps impacts of both in step (Kristianslund et
@@ -119,8 +120,8 @@ def _in_world(plate: ForcePlate, vertical: str) -> tuple[FloatArray, FloatArray,
 
 
 def _steps(up: FloatArray, time_s: FloatArray) -> Iterator[tuple[int, int, int, int]]:
-    """First and past-last frame of each load, and of the time around it that is nearer to it than to any
-    other. up: (F,) N."""
+    """Return first and past-last frame of each load, and of the time around it that is nearer to it than to
+    any other. up: (F,) N."""
     loaded = np.concatenate([[False], up > LEAST_FORCE_N, [False]]).astype(np.int8)
     begins, ends = np.flatnonzero(np.diff(loaded) == 1), np.flatnonzero(np.diff(loaded) == -1)
     interval = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
@@ -132,7 +133,7 @@ def _steps(up: FloatArray, time_s: FloatArray) -> Iterator[tuple[int, int, int, 
 
 
 def _is_beside(sole: FloatArray, corners: FloatArray) -> bool:
-    """Whether points of a sole (F, P, 3) that are down lie outside a plate (4, 3) for long."""
+    """Return whether points of a sole (F, P, 3) that are down lie outside a plate (4, 3) for long."""
     middle = corners.mean(axis=0)
     outside = np.zeros(sole.shape[:2], dtype=bool)
     for side in (corners[0] - corners[1], corners[1] - corners[2]):

@@ -42,7 +42,7 @@ class SmoothMotion:
     angular_acceleration: FloatArray  # (F, S, 3) rad/s²
 
     def orientations(self) -> FloatArray:
-        """(F, S, 4) ``q_wb``."""
+        """Return (F, S, 4) ``q_wb``."""
         q_wb = np.empty_like(self.rotation)
         for s, parent in enumerate(self.skeleton.parents.tolist()):
             own = self.rotation[:, s]
@@ -50,7 +50,7 @@ class SmoothMotion:
         return q_wb
 
     def part(self, instants: slice) -> SmoothMotion:
-        """Some of its instants."""
+        """Return some of its instants."""
         cut = {
             field.name: getattr(self, field.name)[instants]
             for field in fields(self)
@@ -109,7 +109,7 @@ def low_pass(values: FloatArray, rate_hz: float, cutoff_hz: float | None) -> Flo
 def rotation_derivatives(
     values: FloatArray, first: FloatArray, second: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Unit quaternion (…, 4), angular velocity and acceleration (…, 3) in the turned axes.
+    """Return unit quaternion (…, 4), angular velocity and acceleration (…, 3) in the turned axes.
 
     Of a curve in R⁴ with its derivatives by time: with s = n q, q̇ = (ṡ − ṅ q)/n and so on;
     ω = 2 vec(q* q̇) and ω̇ = 2 vec(q* q̈), as q̇* q̇ is a scalar.
@@ -147,14 +147,14 @@ def conjugate(q: FloatArray) -> FloatArray:
 
 
 def matrices(q: FloatArray) -> FloatArray:
-    """(…, 3, 3) of quaternions (…, 4)."""
+    """Return (…, 3, 3) of quaternions (…, 4)."""
     turned: FloatArray = Rotation.from_quat(q.reshape(-1, 4), scalar_first=True).as_matrix()
     shaped: FloatArray = turned.reshape(*q.shape[:-1], 3, 3)
     return shaped
 
 
 def relative(skeleton: Skeleton, q_wb: FloatArray) -> FloatArray:
-    """(F, S, 4) of each segment to its parent, of the root to the world. q_wb: (F, S, 4)."""
+    """Return (F, S, 4) of each segment to its parent, of the root to the world. q_wb: (F, S, 4)."""
     turned = q_wb.copy()
     for s, parent in enumerate(skeleton.parents.tolist()):
         if parent >= 0:

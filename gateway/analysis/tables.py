@@ -55,7 +55,7 @@ def tables(found: Analysis, muscles: MuscleResult | None = None) -> dict[str, Co
 
 
 def _gait(found: Analysis) -> dict[str, Columns]:
-    """Strides, a row each, and curves by percent of them; nothing where nobody walks."""
+    """Return strides, a row each, and curves by percent of them; nothing where nobody walks."""
     own = found.strides
     if not own:
         return {}
@@ -127,5 +127,5 @@ def _muscles(found: Analysis, muscles: MuscleResult) -> Columns:
 
 
 def _vector(name: str, unit: str, values: NDArray[np.float64]) -> Columns:
-    """Three columns of (F, 3), east, north, up."""
+    """Return three columns of (F, 3), east, north, up."""
     return {f"{name}_{axis}_{unit}": values[:, i] for i, axis in enumerate("xyz")}

@@ -73,7 +73,7 @@ class TensionSolver:
         )  # fmt: skip
 
     def _matrix(self, block: FloatArray) -> scipy.sparse.csc_matrix:
-        """Torques over activity and what is left; below it the bounds of activity."""
+        """Return torques over activity and what is left; below it the bounds of activity."""
         count, rows = len(self._peak), self._count
         per_muscle = np.arange(rows + 1)
         indices = np.tile(per_muscle, (count, 1))

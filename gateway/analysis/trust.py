@@ -20,7 +20,7 @@ _STAYS_M, _MOVES_M = 1e-4, 0.05
 def trust_notes(
     motion: SmoothMotion, inertia: BodyInertia, floor: FloorForces, dynamics: Dynamics, weight_n: float
 ) -> list[str]:
-    """What a reader must know before the numbers. weight_n: of the body's segments."""
+    """Return what a reader must know before the numbers. weight_n: of the body's segments."""
     notes = []
     has_feet = len(feet(motion.skeleton)) > 0
     is_whole = inertia.share > WHOLE_BODY
@@ -55,7 +55,7 @@ def trust_notes(
 
 
 def _is_held(motion: SmoothMotion, dynamics: Dynamics) -> bool:
-    """Whether the root was held at one point while the legs swung below it."""
+    """Return whether the root was held at one point while the legs swung below it."""
     swings = np.ptp(dynamics.p_w[:, feet(motion.skeleton)], axis=0)
     return bool(np.ptp(motion.root, axis=0).max() < _STAYS_M and swings.max() > _MOVES_M)
 

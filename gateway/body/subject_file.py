@@ -48,8 +48,8 @@ class SubjectFile(_Strict):
 
     subject: str
     marker_set: str = Field(description="name of the marker set it was fitted with")
-    vertical: Literal["x", "y", "z"] = Field(
-        default="z", description="axis of the optical system that points up"
+    vertical: Literal["x", "y", "z", "-x", "-y", "-z"] = Field(
+        default="z", description="axis of the optical system that points up; -z: z points down"
     )
     measurements_m: dict[str, float] = {}
     angles_deg: dict[str, float] = Field(default={}, description="by which wands lie ahead of joints' axes")

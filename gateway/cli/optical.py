@@ -74,7 +74,9 @@ def fit(
             "the files tell.",
         ),
     ] = None,
-    up: Annotated[str | None, typer.Option(help="Axis of the files that points up: x, y or z.")] = None,
+    up: Annotated[
+        str | None, typer.Option(help="Axis of the files that points up: x, y, z, or -z where z points down.")
+    ] = None,
     neutral: Annotated[
         str | None,
         typer.Option(
@@ -156,8 +158,10 @@ def _write_fit(found: Fit, outcome: dict[str, object], target: Path) -> None:
 
 
 def _axis(text: str | None) -> str | None:
-    if text is not None and text not in {"x", "y", "z"}:
-        raise GatewayError(f"--up {text}: x, y or z is wanted")
+    from gateway.reconstruction.optical.landmarks import AXES_UP
+
+    if text is not None and text not in AXES_UP:
+        raise GatewayError(f"--up {text}: one of {', '.join(AXES_UP)} is wanted")
     return text
 
 
@@ -217,7 +221,8 @@ def _fit_outcome(found: Fit, files: list[Path], target: Path) -> dict[str, objec
 
 
 def uneven_sides(lengths_mm: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Segments of the left and of the right, the longer more than ``MOST_UNEVEN`` times the shorter."""
+    """Return segments of the left and of the right, the longer more than ``MOST_UNEVEN`` times the
+    shorter."""
     pairs = [(name, name.replace("left_", "right_", 1)) for name in lengths_mm if name.startswith("left_")]
     return [
         (left, right)
@@ -235,16 +240,24 @@ def _worn(found: Fit, name: str) -> str:
 
 
 def fit_doubts(found: Fit) -> list[str]:
-    """What speaks against the files, a sentence each."""
+    """Return what speaks against the files, a sentence each."""
     doubts = []
     if found.ghosts:
         by_marker = ", ".join(f"{label} {count}" for label, count in found.ghosts.items())
         doubts.append(f"points far from the markers beside them were left out ({by_marker})")
+    if found.markers.vertical.startswith("-"):
+        axis = found.markers.vertical[1:]
+        doubts.append(f"{axis} points down in the files; a person on the hands is told with --up {axis}")
     if found.backwards:
         doubts.append(
             f"{' and '.join(found.backwards)} bend backwards: left and right are exchanged in the markers' "
             "names, or an axis of the file points the other way (a mirrored world)"
         )
+    doubts += [
+        f"{trial}: markers of one segment are {ratio:.2f} times as far apart as in the first trial: another "
+        "person, or another unit than the file tells"
+        for trial, ratio in found.other_sizes.items()
+    ]
     if 1e3 * found.rmse > MOST_REST_MM:
         worst = np.argsort(found.markers.sigmas)[::-1][:4].tolist()
         doubts.append(
@@ -292,10 +305,9 @@ def _print_fit(found: Fit, outcome: dict[str, object], *, functional: bool) -> N
             f"one name sit at the same place on both sides ({_worn(found, left)}; {_worn(found, right)})?",
             err=True,
         )
-    for name in found.assumed:
-        typer.echo(
-            f"note: {name} is told by no file: {found.lengths[name]} m taken (--measure {name}=…)", err=True
-        )
+    if found.assumed:
+        taken = ", ".join(f"{name}={found.lengths[name]:g}" for name in found.assumed)
+        typer.echo(f"note: no file tells these, m (--measure NAME=METRES does): {taken}", err=True)
 
 
 Subject = Annotated[str, typer.Option("--subject", "-s", help="Subject file of `optical fit`.")]

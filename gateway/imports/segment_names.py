@@ -115,7 +115,7 @@ def _refuse_two_on_one(segments: Mapping[int, str], names: Mapping[int, str]) ->
 
 
 def read_maps(texts: list[str]) -> dict[str, str]:
-    """``--map`` options together: ``NAME=SEGMENT`` or a file. Raises ``GatewayError``."""
+    """Return ``--map`` options together: ``NAME=SEGMENT`` or a file. Raises ``GatewayError``."""
     given: dict[str, str] = {}
     for text in texts:
         name, equals, segment = text.rpartition("=")
@@ -136,7 +136,7 @@ def _of_file(path: Path) -> dict[str, str]:
 
 
 def _of_opensense(path: Path) -> dict[str, str]:
-    """``<ExperimentalSensor name="_00B42279">`` with its ``<name_in_model>``."""
+    """Return ``<ExperimentalSensor name="_00B42279">`` with its ``<name_in_model>``."""
     try:
         sensors = list(parse(path, forbid_dtd=True).iter("ExperimentalSensor"))
     except (ParseError, DefusedXmlException) as error:

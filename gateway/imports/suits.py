@@ -87,7 +87,7 @@ def aligned(
 
 
 def _mean(suit: WornSuit, q_wb: FloatArray, segment: int) -> Rotation:
-    """``q_ws`` of a module over some frames. Raises ``GatewayError`` when it was never known."""
+    """Return ``q_ws`` of a module over some frames. Raises ``GatewayError`` when it was never known."""
     known = q_wb[np.isfinite(q_wb[:, 0])]
     if not len(known):
         name = suit.skeleton.segment_names[segment]

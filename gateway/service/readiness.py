@@ -74,10 +74,14 @@ def in_words(found: Readiness) -> str:
 
 
 def is_ready(name: str) -> bool:
-    """Return whether a method starts within seconds."""
-    if name in FUSED or readiness(name).is_complete:
-        return True
-    return name == FIRST and readiness(FALLBACK).is_complete
+    """Return whether a method starts within seconds, or at least needs no other one to stand in for it.
+
+    What solves markers and cameras compiles its own few kernels as it starts: no method for modules could
+    serve until then.
+    """
+    if name == FIRST:
+        return readiness(FALLBACK).is_complete
+    return name not in LONG_COMPILED or readiness(name).is_complete
 
 
 def make_ready(

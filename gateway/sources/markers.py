@@ -66,7 +66,7 @@ class MarkerFrames:
         """Labels that came and are not on the body."""
 
     def receive(self, chunk: Chunk) -> list[MarkerFrame]:
-        """The frames that a chunk completes."""
+        """Return the frames that a chunk completes."""
         frames = []
         for message in self.receiver.receive(chunk):
             self._rows.learn(message.markers.keys())

@@ -21,8 +21,8 @@ _STRAIGHT = np.radians(15.0)
 
 
 def turns_to_rules(poses: Sequence[Pose], axes: FloatArray) -> FloatArray:
-    """(S, 3, 3) constant turns C with R C nearest the rules' axes (K, S, 3, 3) over the poses; NaN axes count
-    for nothing."""
+    """Return (S, 3, 3) constant turns C with R C nearest the rules' axes (K, S, 3, 3) over the poses; NaN
+    axes count for nothing."""
     turns = np.empty(axes.shape[1:])
     R = np.stack([pose.R for pose in poses])
     for s in range(axes.shape[1]):
@@ -33,14 +33,15 @@ def turns_to_rules(poses: Sequence[Pose], axes: FloatArray) -> FloatArray:
 
 
 def turns_to_neutral(standing: Sequence[Pose], upright: FloatArray) -> FloatArray:
-    """(S, 3, 3) constant turns after which all segments have the axes ``upright`` (3, 3) in those poses."""
+    """Return (S, 3, 3) constant turns after which all segments have the axes ``upright`` (3, 3) in those
+    poses."""
     R = np.stack([pose.R for pose in standing])
     return np.stack([mean_rotation(R[:, s]).T @ upright for s in range(R.shape[1])])
 
 
 def turns_to_bending(model: BodyModel, poses: Sequence[Pose], bending: Sequence[int]) -> FloatArray:
-    """(S, 3, 3) constant turns of the parents of segments that bend in one plane, about y, their length:
-    after them the plane is that of x and y, and bends forward.
+    """Return (S, 3, 3) constant turns of the parents of segments that bend in one plane, about y, their
+    length: after them the plane is that of x and y, and bends forward.
 
     A frame counts by how far the joint is bent; a joint that never is by more than ``_STRAIGHT`` leaves its
     parent as it is.
@@ -65,7 +66,8 @@ def turns_to_bending(model: BodyModel, poses: Sequence[Pose], bending: Sequence[
 
 
 def turned(done: Adjusted, tips: FloatArray, turns: FloatArray) -> tuple[Adjusted, FloatArray]:
-    """The same body and poses with axes turned by C: what lies on a segment turns back. tips: (S, 3) m."""
+    """Return the same body and poses with axes turned by C: what lies on a segment turns back. tips: (S, 3)
+    m."""
     model = done.model
     parents = np.maximum(model.parents, 0)
     offsets = np.einsum("sji,sj->si", turns[parents], model.offsets)

@@ -42,8 +42,9 @@ def solve_both_ways(
     frames: Sequence[MarkerFrame],
     progress: Progress | None = None,
 ) -> tuple[list[SkeletonFrame], Counter[str]]:
-    """All frames, and what was put right. Before the first frame with a pose and after the last one frames
-    stay as the streaming method has them; between them all have a pose, predicted where nothing was seen."""
+    """Return all frames, and what was put right. Before the first frame with a pose and after the last one
+    frames stay as the streaming method has them; between them all have a pose, predicted where nothing was
+    seen."""
     forward = OpticalReconstructor(skeleton, markers)
     poses: list[Pose | None] = []
     solved: list[SkeletonFrame] = []

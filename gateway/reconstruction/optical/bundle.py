@@ -58,7 +58,7 @@ def adjusted(
     scale: float,
     bending: Sequence[int] = (),
 ) -> Adjusted:
-    """The body that fits K frames.
+    """Return the body that fits K frames.
 
     observed: (K, M, 3) m, NaN where not seen; poses: K to begin with; trust: (S,) m, 1 σ of every joint's
     place in its parent. scale: see ``solve_pose``. bending: segments whose joints bend in one plane only.
@@ -110,7 +110,7 @@ def _stiffness(model: BodyModel, trust: FloatArray) -> FloatArray:
 
 
 def _loose(model: BodyModel, bending: Sequence[int] = ()) -> BodyModel:
-    """What joints are allowed must hold poses that markers leave open, and not bend the body to fit.
+    """Return the model with joints that hold poses which markers leave open, but do not bend the body.
 
     A segment with a single marker of its own keeps its stiffness: how it turns about the line through marker
     and joint is not seen, and turns made up for it would move the joints on it. One that bends in a plane
@@ -123,7 +123,7 @@ def _loose(model: BodyModel, bending: Sequence[int] = ()) -> BodyModel:
 
 
 def own_markers(model: BodyModel) -> IntArray:
-    """(S,) how many markers each segment carries."""
+    """Return (S,) how many markers each segment carries."""
     return np.bincount(model.segments, minlength=len(model.parents))
 
 
@@ -135,7 +135,8 @@ def weighted_rmse(poses: list[Pose]) -> float:
 
 
 def with_sigmas(model: BodyModel, poses: list[Pose], smallest: float) -> BodyModel:
-    """The model with every marker's σ as its residuals show it, per coordinate, m, not below ``smallest``."""
+    """Return the model with every marker's σ as its residuals show it, per coordinate, m, not below
+    ``smallest``."""
     say = np.array([pose.weights for pose in poses])
     squares = np.nan_to_num(np.array([pose.residuals for pose in poses])) ** 2
     mean = (say * squares).sum(axis=0) / np.maximum(say.sum(axis=0), 1e-12)
@@ -150,7 +151,7 @@ def _step(
     stiffness: FloatArray,
     temper: float,
 ) -> tuple[FloatArray, list[FloatArray]]:
-    """Changes of what is constant, and of every pose (3 + 3 S)."""
+    """Return changes of what is constant, and of every pose (3 + 3 S)."""
     schur, right = stiffness.copy(), pull.copy()
     reduced = Reduced(schur, right)
     eliminated = [

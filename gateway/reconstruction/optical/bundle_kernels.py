@@ -61,7 +61,7 @@ def eliminate(
 
 @compiled
 def back_substituted(L: FloatArray, X: FloatArray, x: FloatArray, delta: FloatArray) -> FloatArray:
-    """The change of a pose (3 + 3 S) once that of the constants is known: Lᵀ d = x − X δ."""
+    """Return the change of a pose (3 + 3 S) once that of the constants is known: Lᵀ d = x − X δ."""
     n = len(x)
     d = x.copy()
     for k in range(n):

@@ -45,7 +45,8 @@ class Carrying:
         self._time_ns, self._R = time_ns, R
 
     def ahead(self, time_ns: int) -> FloatArray:
-        """(S, 3, 3) with all joints turned on to an instant, the root as it is. Wants a pose before."""
+        """Return (S, 3, 3) with all joints turned on to an instant, the root as it is. Wants a pose
+        before."""
         assert self._R is not None
         step = 1e-9 * (time_ns - self._time_ns)
         return _turned_on(
@@ -55,7 +56,7 @@ class Carrying:
 
 @compiled
 def _rates(parents: IntArray, before: FloatArray, now: FloatArray, step: float) -> FloatArray:
-    """(S, 3) rad/s, from two poses (S, 3, 3); the root's is that in the world."""
+    """Return (S, 3) rad/s, from two poses (S, 3, 3); the root's is that in the world."""
     rates = np.empty((len(parents), 3))
     for s in range(len(parents)):
         p = parents[s]

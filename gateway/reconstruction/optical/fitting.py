@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from gateway.reconstruction.optical.bundle import (
     weighted_rmse,
     with_sigmas,
 )
+from gateway.reconstruction.optical.ghosts import other_sizes
 from gateway.reconstruction.optical.joint_ranges import bent_backwards, shown_joints
 from gateway.reconstruction.optical.landmarks import (
     Measured,
@@ -119,6 +120,8 @@ class Fit:
     """Whether joints are where the motion has them, whatever rules say."""
     ghosts: Mapping[str, int] = field(default_factory=dict)
     """Points far from all that sits beside their marker, by its name in the files: they had no say."""
+    other_sizes: Mapping[str, float] = field(default_factory=dict)
+    """Trials whose markers are farther apart or nearer than those of the first, and how many times."""
     backwards: tuple[str, ...] = ()
     """Joints that bend only to the side to which they cannot."""
 
@@ -137,7 +140,8 @@ def fit_body(
     options: FitOptions | None = None,
     progress: Progress | None = None,
 ) -> Fit:
-    """The body that explains the trials, as much of it as carries markers; these are called as in the files.
+    """Return the body that explains the trials, as much of it as carries markers; these are called as in the
+    files.
 
     Raises ``GatewayError`` where the trials do not tell enough, ``FormatError`` where it is open whose
     markers are meant.
@@ -152,32 +156,25 @@ def fit_body(
         sightings = _stood_neutral(marker_set, sightings, trials[0], options.neutral)
     moving = _moving(sightings)
     skeleton, markers = from_rules(marker_set, moving, vertical)
-    model = body_model(skeleton, markers)
     chosen = [_spread(each, MOST_FRAMES // len(sightings)) for each in moving]
-    columns = [marker_set.labels.index(label) for label in markers.labels]
-    observed = np.concatenate([sighting.markers[:, columns] for sighting in chosen])
-    axes = np.concatenate([sighting.places.axes for sighting in chosen])
-    roots = np.concatenate([sighting.places.origins[:, 0] for sighting in chosen])
-    poses = [
-        _begun(model, seen, R, root, skeleton, sightings[0].name)
-        for seen, R, root in zip(observed, axes, roots, strict=True)
-    ]
+    evidence = _evidence(marker_set, skeleton, markers, chosen)
     if progress is not None:
         progress(1, 2)
-    begun = Adjusted(model, poses, weighted_rmse(poses), 0)
-    moved = np.zeros(skeleton.n_segments)
     bending = [] if options.neutral is not None else _bending(marker_set)
-    done, tips = turned(begun, skeleton.tips, turns_to_bending(model, poses, bending))
-    is_functional = options.centres == "motion"
+    begun = Adjusted(evidence.model, evidence.poses, weighted_rmse(evidence.poses), 0)
+    done, tips = turned(begun, skeleton.tips, turns_to_bending(evidence.model, evidence.poses, bending))
+    moved, is_functional = np.zeros(skeleton.n_segments), False
     if options.centres != "rules":
-        done, is_functional = _found_in_motion(marker_set, done, observed, options.centres, bending)
+        done, is_functional = _found_in_motion(marker_set, done, evidence.observed, options.centres, bending)
         moved = np.linalg.norm(done.model.offsets - skeleton.offsets, axis=1)
         if options.neutral is None:
-            done, tips = turned(done, tips, turns_to_rules(done.poses, axes))
+            done, tips = turned(done, tips, turns_to_rules(done.poses, evidence.axes))
             done, tips = turned(done, tips, turns_to_bending(done.model, done.poses, bending))
         else:
             stood = _standing(sightings[0], markers, marker_set, options.neutral, trials[0])
-            done, tips = _anchored_in_neutral(marker_set, done, observed, stood, tips, options.centres)
+            done, tips = _anchored_in_neutral(
+                marker_set, done, evidence.observed, stood, tips, options.centres
+            )
     final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
     if progress is not None:
         progress(2, 2)
@@ -190,21 +187,47 @@ def fit_body(
         lengths=measured.lengths,
         angles=measured.angles,
         assumed=measured.assumed,
-        frames=len(observed),
+        frames=len(evidence.observed),
         rmse=done.rmse,
         moved=moved,
         left_out=dressed.left_out,
         too_few=too_few,
         is_functional=is_functional,
         ghosts=dressed.ghosts,
+        other_sizes=other_sizes(marker_set, trials),
         backwards=bent_backwards(marker_set.body, final, done.poses),
     )
+
+
+class _Evidence(NamedTuple):
+    """K chosen frames, and the body that rules make of them."""
+
+    model: BodyModel
+    observed: FloatArray  # (K, M, 3) m, markers of the body
+    axes: FloatArray  # (K, S, 3, 3) segment to world, by rules
+    poses: list[Pose]
+
+
+def _evidence(
+    marker_set: MarkerSet, skeleton: Skeleton, markers: BodyMarkers, chosen: Sequence[Sighting]
+) -> _Evidence:
+    """Return the chosen frames of all trials, each with the pose from which the fit begins."""
+    model = body_model(skeleton, markers)
+    columns = [marker_set.labels.index(label) for label in markers.labels]
+    observed = np.concatenate([sighting.markers[:, columns] for sighting in chosen])
+    axes = np.concatenate([sighting.places.axes for sighting in chosen])
+    roots = np.concatenate([sighting.places.origins[:, 0] for sighting in chosen])
+    poses = [
+        _begun(model, seen, R, root, skeleton, chosen[0].name)
+        for seen, R, root in zip(observed, axes, roots, strict=True)
+    ]
+    return _Evidence(model, observed, axes, poses)
 
 
 def _moved_by_motion(
     marker_set: MarkerSet, begun: Adjusted, observed: FloatArray, centres: str, bending: Sequence[int]
 ) -> Adjusted:
-    """The body found together with its poses: first with all markers heard, then each by its own σ."""
+    """Return the body found together with its poses: first with all markers heard, then each by its own σ."""
     trust = _trust(marker_set, begun.model, centres)
     done = adjusted(begun.model, observed, begun.poses, trust, _NEAR_AT_FIRST, bending)
     known = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
@@ -214,8 +237,8 @@ def _moved_by_motion(
 def _found_in_motion(
     marker_set: MarkerSet, begun: Adjusted, observed: FloatArray, centres: str, bending: Sequence[int]
 ) -> tuple[Adjusted, bool]:
-    """The body as the motion and rules have it, and whether rules were left aside: asked for, or since joints
-    went as far as rules let them and markers are met far better without."""
+    """Return the body as the motion and rules have it, and whether rules were left aside: asked for, or since
+    joints went as far as rules let them and markers are met far better without."""
     done = _moved_by_motion(marker_set, begun, observed, centres, bending)
     away = np.linalg.norm(done.model.offsets - begun.model.offsets, axis=1)
     if centres == "motion" or not (away > _trust(marker_set, begun.model, centres)).any():
@@ -225,7 +248,7 @@ def _found_in_motion(
 
 
 def _bending(marker_set: MarkerSet) -> list[int]:
-    """Segments whose joints bend in one plane."""
+    """Return segments whose joints bend in one plane."""
     entries = marker_set.file.segments
     return [s for s, name in enumerate(marker_set.body.segment_names) if entries[name].bends]
 
@@ -234,7 +257,8 @@ def _anchored_in_neutral(
     marker_set: MarkerSet, done: Adjusted, observed: FloatArray, stood: FloatArray, tips: FloatArray,
     centres: str,
 ) -> tuple[Adjusted, FloatArray]:  # fmt: skip
-    """Axes by the neutral posture of the frames ``stood`` (n, M, 3), again once joints are straight."""
+    """Return axes by the neutral posture of the frames ``stood`` (n, M, 3), again once joints are
+    straight."""
     body = marker_set.body
     done, tips = _made_neutral(body, done, stood, tips)
     straight = done.model._replace(offsets=straightened(body, done.model.offsets))
@@ -245,8 +269,8 @@ def _anchored_in_neutral(
 def _enough_seen(
     marker_set: MarkerSet, trials: Sequence[MarkerTrial], vertical: str, measured: Measured
 ) -> tuple[MarkerSet, list[Sighting], dict[str, tuple[str, ...]]]:
-    """The set without limbs of which no frame tells how they lie, what is seen of the rest, and those limbs
-    with the markers that lack. A body of which hardly anything would be left stays as it is."""
+    """Return the set without limbs of which no frame tells how they lie, what is seen of the rest, and those
+    limbs with the markers that lack. A body of which hardly anything would be left stays as it is."""
     left, too_few = marker_set, dict[str, tuple[str, ...]]()
     while True:
         sightings = [sighted(left, trial, vertical, measured) for trial in trials]
@@ -269,7 +293,7 @@ def _enough_seen(
 
 
 def sighted(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> Sighting:
-    """A trial's markers in the world, and what rules make of them."""
+    """Return a trial's markers in the world, and what rules make of them."""
     markers = to_world(trial.columns(marker_set.labels), vertical)
     return Sighting(trial.name, markers, landmarks_of(marker_set, trial, vertical, measured).places())
 
@@ -298,7 +322,7 @@ def _stood_neutral(
 
 
 def _trust(marker_set: MarkerSet, model: BodyModel, centres: str) -> FloatArray:
-    """(S,) m: 1 σ of every joint's place in its parent."""
+    """Return (S,) m: 1 σ of every joint's place in its parent."""
     entries = marker_set.file.segments
     trust = np.array([entries[name].trust_mm for name in marker_set.body.segment_names]) * 1e-3
     if centres == "motion":
@@ -308,7 +332,7 @@ def _trust(marker_set: MarkerSet, model: BodyModel, centres: str) -> FloatArray:
 
 
 def _moving(sightings: Sequence[Sighting]) -> list[Sighting]:
-    """The trials, few frames of those in which nothing moves.
+    """Return the trials, few frames of those in which nothing moves.
 
     A posture held for seconds is one posture: were all its frames to count, the body would be that of this
     posture, with the skin where it pulled it (an acromion marker moves by 4 cm when the arm is raised).
@@ -319,7 +343,7 @@ def _moving(sightings: Sequence[Sighting]) -> list[Sighting]:
 
 
 def _spread(sighting: Sighting, count: int) -> Sighting:
-    """So many of the frames with most markers seen, at equal distances."""
+    """Return so many of the frames with most markers seen, at equal distances."""
     share = np.isfinite(sighting.markers).all(axis=2).mean(axis=1)
     good = np.flatnonzero(share >= min(0.8, share.max()))
     chosen = np.linspace(0, len(good) - 1, min(len(good), count)).astype(np.int64)
@@ -333,7 +357,7 @@ def _standing(
     span: tuple[float, float],
     trial: MarkerTrial,
 ) -> FloatArray:
-    """(n, M, 3) m of some frames of neutral standing."""
+    """Return (n, M, 3) m of some frames of neutral standing."""
     columns = np.array([marker_set.labels.index(label) for label in markers.labels])
     first, last = (round(each * trial.rate_hz) for each in span)
     chosen = np.unique(np.linspace(first, min(last, trial.n_frames) - 1, STILL_FRAMES).astype(np.int64))
@@ -343,7 +367,7 @@ def _standing(
 def _made_neutral(
     body: Skeleton, done: Adjusted, stood: FloatArray, tips: FloatArray
 ) -> tuple[Adjusted, FloatArray]:
-    """The fitted body with axes that make the standing frames (n, M, 3) neutral; its tips (S, 3)."""
+    """Return the fitted body with axes that make the standing frames (n, M, 3) neutral; its tips (S, 3)."""
     model, pose = done.model, done.poses[0]
     standing = []
     for seen in stood:
@@ -355,7 +379,7 @@ def _made_neutral(
 
 
 def _largest_stray(seen: FloatArray) -> float:
-    """The largest distance of a marker (F, M, 3) from its mean place, root mean square, m."""
+    """Return the largest distance of a marker (F, M, 3) from its mean place, root mean square, m."""
     known: NDArray[np.bool_] = np.asarray(np.isfinite(seen).all(axis=2))
     count = np.maximum(known.sum(axis=0), 1)
     values = np.where(known[..., None], seen, 0.0)

@@ -29,8 +29,8 @@ _OUTLIERS = 2.0
 def shown_joints(
     skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose], bending: Sequence[int] = ()
 ) -> tuple[Joint, ...]:
-    """The skeleton's joints with limits wide enough for the poses; angles that leave their neutral place by
-    more than ``FIXED_SIGMA`` count as free from now on.
+    """Return the skeleton's joints with limits wide enough for the poses; angles that leave their neutral
+    place by more than ``FIXED_SIGMA`` count as free from now on.
 
     bending: segments whose joints bend in one plane: angles that those do not have stay held.
     """
@@ -74,7 +74,7 @@ def bent_backwards(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) 
 
 
 def _angles(model: BodyModel, row: int, poses: Sequence[Pose]) -> FloatArray:
-    """(K, 3) rad, each growing with its named movement; without poses near the singularity."""
+    """Return (K, 3) rad, each growing with its named movement; without poses near the singularity."""
     distal = model.distals[row]
     found = [cardan(pose.R[model.parents[distal]], pose.R[distal], model.axes[row]) for pose in poses]
     regular = [angles * model.signs[row] for angles, _, is_regular in found if is_regular]

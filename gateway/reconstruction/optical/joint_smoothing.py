@@ -45,13 +45,13 @@ class _State(NamedTuple):
 
 
 def joint_turns(parents: IntArray, R: FloatArray) -> FloatArray:
-    """(S, 3, 3) every segment in its parent's axes, the root in the world's."""
+    """Return (S, 3, 3) every segment in its parent's axes, the root in the world's."""
     turns: FloatArray = np.where((parents >= 0)[:, None, None], np.swapaxes(R[parents], 1, 2) @ R, R)
     return turns
 
 
 def from_turns(parents: IntArray, turns: FloatArray) -> FloatArray:
-    """(S, 3, 3) segments in the world; parents stand before their children."""
+    """Return (S, 3, 3) segments in the world; parents stand before their children."""
     R = turns.copy()
     for s, parent in enumerate(parents.tolist()):
         if parent >= 0:
@@ -60,7 +60,8 @@ def from_turns(parents: IntArray, turns: FloatArray) -> FloatArray:
 
 
 def markers_covariance(factor: FloatArray, prior: float) -> FloatArray:
-    """(3 + 3 S, 3 + 3 S) of a pose's changes by its markers, and next to nothing known of joints beside.
+    """Return (3 + 3 S, 3 + 3 S) of a pose's changes by its markers, and next to nothing known of joints
+    beside.
 
     factor: of the pose's normal matrix, see ``Pose``; prior: the stiffness in it that drew joints to a pose
     known before, 1/rad²: what it tells is not new, of its own joint or, through that, of any other.
@@ -74,7 +75,8 @@ def markers_covariance(factor: FloatArray, prior: float) -> FloatArray:
 
 
 def information(parents: IntArray, R: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(S, 3, 3) 1/rad²: what markers told of every joint's turn, distal axes, of ``markers_covariance``."""
+    """Return (S, 3, 3) 1/rad²: what markers told of every joint's turn, distal axes, of
+    ``markers_covariance``."""
     turns = np.stack([covariance[k : k + 3, k : k + 3] for k in range(3, len(covariance), 3)])
     values, vectors = np.linalg.eigh(np.swapaxes(R, 1, 2) @ turns @ R)
     told = np.where(parents >= 0, _WEAK, 0.0)[:, None]
@@ -84,7 +86,8 @@ def information(parents: IntArray, R: FloatArray, covariance: FloatArray) -> Flo
 
 
 def smoothed_turns(times_s: FloatArray, seen: list[Seen | None]) -> FloatArray:
-    """(F, S, 3, 3) joints at F instants; None: nothing was seen at that one. The first must be seen."""
+    """Return (F, S, 3, 3) joints at F instants; None: nothing was seen at that one. The first must
+    be seen."""
     first = seen[0]
     assert first is not None
     n = len(first.turn)
@@ -105,7 +108,7 @@ def smoothed_turns(times_s: FloatArray, seen: list[Seen | None]) -> FloatArray:
 
 
 def _predicted(state: _State, step: float) -> tuple[_State, FloatArray]:
-    """The state a step (s) later, and how errors pass over."""
+    """Return the state a step (s) later, and how errors pass over."""
     ahead = Rotation.from_rotvec(FADES_S * (1.0 - np.exp(-step / FADES_S)) * state.rate)
     F = np.tile(_carried_on(step), (len(state.rate), 1, 1))
     F[:, :3, :3] = ahead.inv().as_matrix()
@@ -141,7 +144,7 @@ class SeenPlace(NamedTuple):
 
 
 def smoothed_places(times_s: FloatArray, seen: list[SeenPlace | None]) -> FloatArray:
-    """(F, 3) m: the root's place at F instants; None: nothing was seen at that one. The first must be
+    """Return (F, 3) m: the root's place at F instants; None: nothing was seen at that one. The first must be
     seen."""
     first = seen[0]
     assert first is not None
@@ -162,14 +165,14 @@ def smoothed_places(times_s: FloatArray, seen: list[SeenPlace | None]) -> FloatA
 
 
 def _with_place(x: FloatArray, P: FloatArray, seen: SeenPlace) -> tuple[FloatArray, FloatArray]:
-    """The state by what was seen, as ``_updated`` has it."""
+    """Return the state by what was seen, as ``_updated`` has it."""
     K = P[:, :3] @ np.linalg.solve(np.eye(3) + seen.information @ P[:3, :3], seen.information)
     P = P - K @ P[:3, :]
     return x + K @ (seen.place - x[:3]), 0.5 * (P + P.T)
 
 
 def _carried_on(step: float) -> FloatArray:
-    """(6, 6): how place and rate pass over a step (s)."""
+    """Return (6, 6): how place and rate pass over a step (s)."""
     fading = np.exp(-step / FADES_S)
     both = np.array([[1.0, FADES_S * (1.0 - fading)], [0.0, fading]])
     F: FloatArray = np.asarray(np.kron(both, np.eye(3)), dtype=np.float64)
@@ -177,7 +180,7 @@ def _carried_on(step: float) -> FloatArray:
 
 
 def _noise(step: float, density: float) -> FloatArray:
-    """(6, 6) that a step (s) adds; the step is short against ``FADES_S``."""
+    """Return (6, 6) that a step (s) adds; the step is short against ``FADES_S``."""
     both = density * np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
     noise: FloatArray = np.asarray(np.kron(both, np.eye(3)), dtype=np.float64)
     return noise

@@ -56,7 +56,7 @@ def places(parents: IntArray, offsets: FloatArray, R: FloatArray, root: FloatArr
 
 @compiled
 def marker_places(segments: IntArray, positions: FloatArray, R: FloatArray, p: FloatArray) -> FloatArray:
-    """Where the virtual markers are, (M, 3) m."""
+    """Return where the virtual markers are, (M, 3) m."""
     y = np.empty((len(segments), 3))
     for m in range(len(segments)):
         y[m] = p[segments[m]] + rm.rotate(R[segments[m]], positions[m])
@@ -135,7 +135,7 @@ def add_joint(H: FloatArray, g: FloatArray, R_p: FloatArray, R_d: FloatArray, jo
 
 @compiled
 def cardan(R_p: FloatArray, R_d: FloatArray, axes: IntArray) -> tuple[FloatArray, FloatArray, bool]:
-    """Right-handed angles (3,) rad of distal in proximal axes, and their rates by a turn of the distal
+    """Return right-handed angles (3,) rad of distal in proximal axes, and their rates by a turn of the distal
     segment.
 
     E (3, 3): d angle_k = E[k] · δ, δ in world axes. False where the axes are nearly dependent.
@@ -192,7 +192,7 @@ def cholesky(A: FloatArray) -> bool:
 
 @compiled
 def substituted(L: FloatArray, b: FloatArray) -> FloatArray:
-    """x of L Lᵀ x = b."""
+    """Return x of L Lᵀ x = b."""
     n = len(b)
     x = b.copy()
     for i in range(n):
@@ -217,7 +217,7 @@ def solve_transposed(L: FloatArray, x: FloatArray) -> None:
 def moved(
     parents: IntArray, R: FloatArray, root: FloatArray, delta: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The pose after a change δ (3 + 3 S): (S, 3, 3), (3,). A turn carries all segments beyond it."""
+    """Return the pose after a change δ (3 + 3 S): (S, 3, 3), (3,). A turn carries all segments beyond it."""
     turned = np.empty_like(R)
     total = np.empty((len(parents), 3, 3))
     for s in range(len(parents)):

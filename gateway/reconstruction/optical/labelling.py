@@ -27,7 +27,8 @@ class Labelled(NamedTuple):
 def relabelled(
     observed: FloatArray, virtual: FloatArray, sigmas: FloatArray, unlabelled: FloatArray
 ) -> Labelled | None:
-    """Markers and nameless points given to the virtual markers they lie at; None when nothing is in doubt.
+    """Return markers and nameless points given to the virtual markers they lie at; None when nothing is in
+    doubt.
 
     observed: (M, 3) m, NaN rows for markers not seen; virtual: (M, 3) m; sigmas: (M,) m; unlabelled: (U, 3).
     Points are taken from markers that lie off and given away in order of distance, the nearest pair first.
@@ -53,7 +54,7 @@ def relabelled(
 
 
 def _nearest_pairs(virtual: FloatArray, points: FloatArray) -> list[tuple[int, int]]:
-    """(virtual, point) pairs nearer than ``CLAIM``, each used once, the nearest first."""
+    """Return (virtual, point) pairs nearer than ``CLAIM``, each used once, the nearest first."""
     if not len(points) or not len(virtual):
         return []
     distance = np.linalg.norm(virtual[:, None] - points[None], axis=2)

@@ -34,9 +34,14 @@ _UP = {
     "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "z": np.eye(3),
+    "-x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]),
+    "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    "-z": np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]),
 }
-"""From the axes of the optical system to the world, Z up, by the axis that points up there."""
+"""From the axes of the optical system to the world, Z up, by the axis that points up there; ``-z``: z points
+down."""
 
+AXES_UP = tuple(_UP)
 
 _SHORTEST_M, _LONGEST_M = 0.001, 2.0
 """Of a person's measurement: a number of a file that is none of these is in another unit than its points."""
@@ -45,16 +50,17 @@ MOST_ANGLE = np.pi / 2
 
 
 def to_world(positions: FloatArray, vertical: str) -> FloatArray:
-    """Positions (…, 3) of a system whose axis ``vertical`` points up, in the world, Z up."""
+    """Return positions (…, 3) of a system whose axis ``vertical`` points up, in the world, Z up."""
     turned: FloatArray = positions @ _UP[vertical].T
     return turned
 
 
 def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
-    """The axis of the file along which high markers lie above low ones; the root's markers stand for those of
-    an end of the body that carries none.
+    """Return the axis of the file along which high markers lie above low ones.
 
-    Raises ``GatewayError`` where the markers that would tell are not there, or lie the other way round.
+    The root's markers stand for those of an end of the body that carries none.
+
+    Raises ``GatewayError`` where the markers that would tell are not there.
     """
     low, high = (_middle(marker_set, trial, labels) for labels in marker_set.file.vertical)
     if not np.isfinite(high - low).all():
@@ -63,15 +69,12 @@ def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
             f"{trial.name}: which axis points up is not seen without {feet} and {top}: tell it with --up"
         )
     axis = int(np.argmax(np.abs(high - low)))
-    if (high - low)[axis] < 0:
-        raise GatewayError(
-            f"{trial.name}: the body is upside down along {'xyz'[axis]}: tell the axis with --up"
-        )
-    return "xyz"[axis]
+    return "xyz"[axis] if (high - low)[axis] > 0 else f"-{'xyz'[axis]}"
 
 
 def _middle(marker_set: MarkerSet, trial: MarkerTrial, labels: list[str]) -> FloatArray:
-    """(3,) m, mean place of markers; of the root's where none of these is seen; NaN without those too."""
+    """Return (3,) m, mean place of markers; of the root's where none of these is seen; NaN without
+    those too."""
     root = marker_set.file.markers.get(marker_set.body.segment_names[0], [])
     for some in (labels, root):
         places = trial.columns(tuple(some)).reshape(-1, 3)
@@ -83,7 +86,7 @@ def _middle(marker_set: MarkerSet, trial: MarkerTrial, labels: list[str]) -> Flo
 
 @dataclass(frozen=True)
 class Measured:
-    """Lengths and angles of a person, and which lengths nobody told."""
+    """Lengths and angles of a person, and which lengths that count nobody told."""
 
     lengths: Mapping[str, float]  # m
     angles: Mapping[str, float]  # rad
@@ -96,14 +99,14 @@ def measurements(
     given: Mapping[str, float],
     given_angles: Mapping[str, float] | None = None,
 ) -> Measured:
-    """What the rules need: as given (m, rad), else from the files, else the marker set's defaults.
+    """Return what the rules need: as given (m, rad), else from the files, else the marker set's defaults.
 
     Raises ``GatewayError`` for one given that the marker set does not have, and for an angle that cannot be.
     """
     known, angles = marker_set.file.measurements, dict(given_angles or {})
     _refuse_unknown(marker_set, "measurement", given, known)
     _refuse_unknown(marker_set, "angle", angles, marker_set.file.angles)
-    lengths, assumed = dict(given), []
+    lengths, assumed, counting = dict(given), [], marker_set.counting()
     for name, entry in known.items():
         told = [
             trial.parameters[parameter] * trial.metres_per_unit
@@ -117,7 +120,8 @@ def measurements(
             lengths[name] = float(np.mean(told))
         elif entry.default_m is not None:
             lengths[name] = entry.default_m
-            assumed.append(name)
+            if name in counting:
+                assumed.append(name)
     for name, angle in marker_set.file.angles.items():
         if name not in angles:
             found = [
@@ -156,7 +160,7 @@ class SegmentPlaces:
     tips: FloatArray  # (F, S, 3) m; NaN where no rule tells
 
     def only(self, frames: IntArray) -> SegmentPlaces:
-        """Some of its frames."""
+        """Return some of its frames."""
         return SegmentPlaces(self.origins[frames], self.axes[frames], self.tips[frames])
 
 
@@ -172,13 +176,13 @@ class Landmarks:
         self._n_frames = len(next(iter(markers.values())))
 
     def point(self, name: str) -> FloatArray:
-        """(F, 3) m; NaN where its markers are missing."""
+        """Return (F, 3) m; NaN where its markers are missing."""
         if name not in self._points:
             self._points[name] = self._worked_out(name)
         return self._points[name]
 
     def axes(self, segment: str) -> FloatArray | None:
-        """(F, 3, 3) of a segment; None where the marker set tells none."""
+        """Return (F, 3, 3) of a segment; None where the marker set tells none."""
         rule = self._set.file.segments[segment].axes
         if rule is None:
             return None
@@ -186,7 +190,7 @@ class Landmarks:
         return rules.frame_axes((first, self.point(a), self.point(b)), (second, self.point(c), self.point(d)))
 
     def places(self) -> SegmentPlaces:
-        """All segments; one without axes of its own is turned as its parent."""
+        """Return all segments; one without axes of its own is turned as its parent."""
         body = self._set.body
         shape = (self._n_frames, body.n_segments, 3)
         origins, tips, axes = np.full(shape, np.nan), np.full(shape, np.nan), np.full((*shape, 3), np.nan)
@@ -310,7 +314,7 @@ _APPLY: dict[str, Callable[..., FloatArray]] = {
 
 
 def landmarks_of(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> Landmarks:
-    """The landmarks of a trial in the world."""
+    """Return the landmarks of a trial in the world."""
     world = to_world(trial.columns(marker_set.labels), vertical)
     markers = {label: world[:, m] for m, label in enumerate(marker_set.labels)}
     return Landmarks(marker_set, markers, measured)

@@ -258,13 +258,28 @@ class MarkerSet(_Strict):
         return {name: label for label, names in self.file.aliases.items() for name in names}
 
     def rules(self, point: str) -> list[PointRule]:
-        """The rules of a point, in order of preference."""
+        """Return the rules of a point, in order of preference."""
         rules = self.file.points[point]
         return rules if isinstance(rules, list) else [rules]
 
+    def counting(self) -> set[str]:
+        """Return all points and measurements on which the places of its segments rest, each by the first rule
+        that it has; the markers' diameter always."""
+        open_names = list(names_in(list(self.file.segments.values())))
+        found = {MARKER_DIAMETER}
+        while open_names:
+            name = open_names.pop()
+            if name in found:
+                continue
+            found.add(name)
+            if name in self.file.points:
+                rule = next(iter(self.rules(name)))
+                open_names += names_in(getattr(rule, rule.kind))
+        return found
+
 
 def load_marker_set(name: str) -> MarkerSet:
-    """A marker set by name or path. Raises ``SettingsError`` naming file, entry and remedy."""
+    """Return a marker set by name or path. Raises ``SettingsError`` naming file, entry and remedy."""
     path = find_file(name, "marker_sets")
     file = load_settings(path, MarkerSetFile)
     found = MarkerSet(file=file, body=load_body(file.body, path), path=path)
@@ -274,7 +289,7 @@ def load_marker_set(name: str) -> MarkerSet:
 
 
 def names_in(value: object) -> Iterable[str]:
-    """All texts in a rule: points and markers, and measurements."""
+    """Return all texts in a rule: points and markers, and measurements."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, BaseModel):

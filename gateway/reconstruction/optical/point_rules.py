@@ -14,7 +14,7 @@ from gateway.frames import FloatArray
 
 
 def unit(vectors: FloatArray) -> FloatArray:
-    """Vectors of length one; NaN where the length is zero."""
+    """Return vectors of length one; NaN where the length is zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         scaled: FloatArray = np.where(length > 0, vectors / length, np.nan)
@@ -29,25 +29,25 @@ def _mean_length(vectors: FloatArray) -> float:
 
 
 def midpoint(points: Sequence[FloatArray]) -> FloatArray:
-    """The mean of points: of two, the middle between them."""
+    """Return the mean of points: of two, the middle between them."""
     mean: FloatArray = np.mean(np.stack(points), axis=0)
     return mean
 
 
 def between(start: FloatArray, end: FloatArray, fraction: float) -> FloatArray:
-    """The point at a fraction of the way."""
+    """Return the point at a fraction of the way."""
     return start + fraction * (end - start)
 
 
 def shifted(point: FloatArray, start: FloatArray, end: FloatArray, by: float) -> FloatArray:
-    """The point moved by ``by`` m in the direction from start to end."""
+    """Return the point moved by ``by`` m in the direction from start to end."""
     return point + by * unit(end - start)
 
 
 def perpendicular(
     point: FloatArray, first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray], by: float
 ) -> FloatArray:
-    """The point moved by ``by`` m across two lines, each from its first point to its second
+    """Return the point moved by ``by`` m across two lines, each from its first point to its second
     (right-handed)."""
     across = unit(np.cross(unit(first[1] - first[0]), unit(second[1] - second[0])))
     moved: FloatArray = point + by * across
@@ -57,7 +57,8 @@ def perpendicular(
 def chord(
     proximal: FloatArray, marker: FloatArray, plane: FloatArray, distance: float, wand_angle: float = 0.0
 ) -> FloatArray:
-    """The joint centre ``distance`` m from a marker on its side, by the chord function of Plug-in-Gait.
+    """Return the joint centre ``distance`` m from a marker on its side, by the chord function of
+    Plug-in-Gait.
 
     Proximal joint centre, marker and sought centre c make a right angle at c, in the plane through the third
     point, on the other side than that: Davis et al. 1991 (Hum. Mov. Sci. 10: 575–587), Kadaba et al. 1990
@@ -116,8 +117,8 @@ def davis_hip(
     side: str,
     measured: tuple[float, float] | None = None,
 ) -> FloatArray:
-    """The hip's centre from pelvis width and leg length: Davis et al. 1991, with the distance of trochanter
-    and ASIS by leg length as Plug-in-Gait has it (0.1288 L − 48.56 mm).
+    """Return the hip's centre from pelvis width and leg length: Davis et al. 1991, with the distance of
+    trochanter and ASIS by leg length as Plug-in-Gait has it (0.1288 L − 48.56 mm).
 
     asis: left, right. legs: lengths of this side's leg and the other's, m. measured: distance of both ASIS,
     and of this side's ASIS and trochanter, m; None: the first is the markers' mean over the trial, the second
@@ -137,8 +138,8 @@ def davis_hip(
 
 
 def harrington_hip(asis: tuple[FloatArray, FloatArray], sacrum: FloatArray, side: str) -> FloatArray:
-    """The hip's centre from width and depth of the pelvis: Harrington et al. 2007 (J. Biomech. 40: 595–602),
-    the equations of one predictor each (mm): −0.24 PD − 9.9; −0.30 PW − 10.9; 0.33 PW + 7.3.
+    """Return the hip's centre from width and depth of the pelvis: Harrington et al. 2007 (J. Biomech. 40:
+    595–602), the equations of one predictor each (mm): −0.24 PD − 9.9; −0.30 PW − 10.9; 0.33 PW + 7.3.
     """
     left, right = asis
     depth = _mean_length(midpoint(asis) - sacrum)
@@ -148,8 +149,8 @@ def harrington_hip(asis: tuple[FloatArray, FloatArray], sacrum: FloatArray, side
 
 
 def hara_hip(asis: tuple[FloatArray, FloatArray], sacrum: FloatArray, leg: float, side: str) -> FloatArray:
-    """The hip's centre from the leg's length L alone: Hara et al. 2016 (Sci. Rep. 6: 37707), 180 persons of 5
-    to 40 years (mm): 11 − 0.063 L ahead, 8 + 0.086 L aside, −9 − 0.078 L up.
+    """Return the hip's centre from the leg's length L alone: Hara et al. 2016 (Sci. Rep. 6: 37707), 180
+    persons of 5 to 40 years (mm): 11 − 0.063 L ahead, 8 + 0.086 L aside, −9 − 0.078 L up.
     """
     ahead, aside, up = 0.011 - 0.063 * leg, 0.008 + 0.086 * leg, -0.009 - 0.078 * leg
     return _in_pelvis(asis, sacrum, side, ahead, aside, up)
@@ -158,7 +159,8 @@ def hara_hip(asis: tuple[FloatArray, FloatArray], sacrum: FloatArray, leg: float
 def _in_pelvis(
     asis: tuple[FloatArray, FloatArray], sacrum: FloatArray, side: str, ahead: float, aside: float, up: float
 ) -> FloatArray:
-    """The point so far, m, ahead of the middle of both ASIS, to the side, and up, in the pelvis' axes."""
+    """Return the point so far, m, ahead of the middle of both ASIS, to the side, and up, in the
+    pelvis' axes."""
     middle = midpoint(asis)
     to_right = unit(asis[1] - asis[0])
     forward = middle - sacrum
@@ -171,14 +173,15 @@ def _in_pelvis(
 def scaled_offset(
     origin: FloatArray, axes: FloatArray, fractions: Sequence[float], ends: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """A point at fractions of a length, along a segment's axes (F, 3, 3): regressions on a body's width."""
+    """Return a point at fractions of a length, along a segment's axes (F, 3, 3): regressions on a body's
+    width."""
     length = _mean_length(ends[1] - ends[0])
     point: FloatArray = origin + length * (axes @ np.asarray(fractions, dtype=np.float64))
     return point
 
 
 def below_line(point: FloatArray, line: tuple[FloatArray, FloatArray], fraction: float) -> FloatArray:
-    """The point moved down, across a line, by a fraction of the line's length.
+    """Return the point moved down, across a line, by a fraction of the line's length.
 
     The shoulder of CN1766831A: a tenth of the shoulder width below the marker. Down is against world z.
     """
@@ -193,7 +196,7 @@ def below_line(point: FloatArray, line: tuple[FloatArray, FloatArray], fraction:
 def right_triangle(
     proximal: FloatArray, marker: FloatArray, distal: FloatArray, half_width: float
 ) -> FloatArray:
-    """The centre beside a marker, half the joint's width away, at a right angle to the line to the
+    """Return the centre beside a marker, half the joint's width away, at a right angle to the line to the
     proximal joint.
 
     The elbow, knee and ankle of CN1766831A: marker, centre and proximal joint make a right-angled triangle in
@@ -206,7 +209,8 @@ def right_triangle(
 def frame_axes(
     primary: tuple[str, FloatArray, FloatArray], secondary: tuple[str, FloatArray, FloatArray]
 ) -> FloatArray:
-    """Axes (F, 3, 3) of a segment, columns x y z: one along a line, one as near another line as it can be.
+    """Return axes (F, 3, 3) of a segment, columns x y z: one along a line, one as near another line as it can
+    be.
 
     Each is the axis' name (x, y or z) and the two points it runs between.
     """

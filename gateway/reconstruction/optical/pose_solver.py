@@ -84,8 +84,8 @@ class Pose(NamedTuple):
 
 
 def body_model(skeleton: Skeleton, markers: BodyMarkers) -> BodyModel:
-    """The arrays of a body. Joints between neighbours that have Cardan angles bring their limits along; all
-    others are only drawn, weakly, to the neutral posture."""
+    """Return the arrays of a body. Joints between neighbours that have Cardan angles bring their limits
+    along; all others are only drawn, weakly, to the neutral posture."""
     described = {
         joint.distal: joint
         for joint in skeleton.joints
@@ -119,7 +119,7 @@ def everyone(observed: FloatArray, scale: float) -> Seen:
 
 @compiled
 def _cost(model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray) -> float:
-    """½ Σ w r² of the markers, with the weights of the step before, plus the joints."""
+    """Return ½ Σ w r² of the markers, with the weights of the step before, plus the joints."""
     total = 0.0
     for m in range(len(observed)):
         if say[m] > 0.0:
@@ -165,7 +165,7 @@ def add_held(
 def normal_equations(
     model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """H (upper triangle), g, and the cost of the joints."""
+    """Return H (upper triangle), g, and the cost of the joints."""
     n = 3 + 3 * len(model.parents)
     H, g = np.zeros((n, n)), np.zeros(n)
     y = kernels.marker_places(model.segments, model.positions, R, p)
@@ -186,7 +186,7 @@ def normal_equations(
 
 @compiled
 def _say(model: BodyModel, seen: Seen, y: FloatArray) -> FloatArray:
-    """Geman–McClure weights (1 + (r / c)²)⁻², times the trust given; 0 where a marker was not seen.
+    """Return Geman–McClure weights (1 + (r / c)²)⁻², times the trust given; 0 where a marker was not seen.
 
     c: the scale, and four times a marker's own σ at the least.
     """
@@ -270,7 +270,8 @@ def _factor(H: FloatArray) -> FloatArray:
 
 @compiled
 def orientation_sigmas(parents: IntArray, factor: FloatArray, variance: float) -> FloatArray:
-    """(S,) rad: standard deviation of every segment's orientation, from the factor of the normal matrix.
+    """Return (S,) rad: standard deviation of every segment's orientation, from the factor of the normal
+    matrix.
 
     The turn of a segment is the sum of those of its chain, so its covariance is A H⁻¹ Aᵀ with A the rows of
     that sum. variance: of the markers' residuals in units of their σ².

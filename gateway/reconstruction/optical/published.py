@@ -165,7 +165,7 @@ def _places(model: BodyModel, R: FloatArray, root: FloatArray) -> FloatArray:
 
 
 def _summed_distance(model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray) -> float:
-    """mm, over all markers and frames."""
+    """Return the distance summed over all markers and frames, mm."""
     virtual = np.stack(
         [
             kernels.marker_places(model.segments, model.positions, R[f], _places(model, R[f], root[f]))

@@ -53,7 +53,7 @@ class Turned(NamedTuple):
 def chain_gradient(
     model: BodyModel, observed: FloatArray, chain: Chain, pose: Turned
 ) -> tuple[float, FloatArray]:
-    """Σ |virtual − real|² of the chain's markers, mm², and its gradient by the chain's turns (rad) and
+    """Return Σ |virtual − real|² of the chain's markers, mm², and its gradient by the chain's turns (rad) and
     shift (mm).
 
     The turn x of a joint is exp([x]×) in world
@@ -81,7 +81,7 @@ def chain_gradient(
 
 
 def left_jacobian(x: FloatArray) -> FloatArray:
-    """J with exp([x + d]×) ≈ exp([J d]×) exp([x]×), (3, 3)."""
+    """Return J with exp([x + d]×) ≈ exp([J d]×) exp([x]×), (3, 3)."""
     angle = float(np.linalg.norm(x))
     X = np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
     if angle < 1e-6:

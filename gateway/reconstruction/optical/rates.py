@@ -47,7 +47,8 @@ class Rates:
 
 @compiled
 def _turns(R: FloatArray) -> FloatArray:
-    """(K, S, 3): rotation vectors from the last of K orientations (K, S, 3, 3) to each, its axes, rad."""
+    """Return (K, S, 3): rotation vectors from the last of K orientations (K, S, 3, 3) to each, its
+    axes, rad."""
     turns = np.empty(R.shape[:3])
     for k in range(len(R)):
         for s in range(R.shape[1]):

@@ -77,8 +77,8 @@ class OpticalReconstructor:
     def solve_again(
         self, observation: MarkerFrame, fit: MarkerFit | None, held: Held, root: FloatArray
     ) -> SkeletonFrame:
-        """The pose of an instant drawn to a pose ``held``, from its orientations and ``root`` (3,) m, by
-        markers already named; without a fit, by whatever was seen under the names that it came with."""
+        """Return the pose of an instant drawn to a pose ``held``, from its orientations and ``root`` (3,) m,
+        by markers already named; without a fit, by whatever was seen under the names that it came with."""
         positions, renamed = (observation.positions, ()) if fit is None else (fit.positions, fit.renamed)
         seen = everyone(np.ascontiguousarray(positions), NEAR)
         pose = solve_pose(self.model, seen, held.R, root, held, _LONGEST)
@@ -127,7 +127,8 @@ class OpticalReconstructor:
         return pose, renamed
 
     def _questioned(self, frame: MarkerFrame, pose: Pose, renamed: Renamed) -> tuple[Pose, Renamed]:
-        """The pose, and which markers had others' points, once names that do not fit it are put right."""
+        """Return the pose, and which markers had others' points, once names that do not fit it are
+        put right."""
         given = _with_names(frame, renamed, self._virtual(pose))
         named = relabelled(given, self._virtual(pose), self.model.sigmas, frame.unlabelled)
         if named is None:
@@ -226,7 +227,7 @@ class OpticalReconstructor:
 
 
 def _with_names(frame: MarkerFrame, renamed: Renamed, virtual: FloatArray) -> FloatArray:
-    """Markers (M, 3) with the points they were given; one that lost its point to another has none."""
+    """Return markers (M, 3) with the points they were given; one that lost its point to another has none."""
     positions = frame.positions.copy()
     for _, source in renamed:
         if source >= 0:

@@ -32,14 +32,14 @@ class Sighting:
     places: SegmentPlaces
 
     def only(self, frames: IntArray) -> Sighting:
-        """Some of its frames."""
+        """Return some of its frames."""
         return Sighting(self.name, self.markers[frames], self.places.only(frames))
 
 
 def from_rules(
     marker_set: MarkerSet, sightings: Sequence[Sighting], vertical: str
 ) -> tuple[Skeleton, BodyMarkers]:
-    """The body with the mean over all frames of every length and every marker's place.
+    """Return the body with the mean over all frames of every length and every marker's place.
 
     Raises ``GatewayError`` naming the segments that have axes in no frame, and the markers those need.
     """
@@ -75,7 +75,8 @@ def from_rules(
 
 
 def resized(marker_set: MarkerSet, offsets: FloatArray, tips: FloatArray) -> Skeleton:
-    """The marker set's body with other lengths; a segment that ends in the next joint ends there exactly."""
+    """Return the marker set's body with other lengths; a segment that ends in the next joint ends there
+    exactly."""
     body, entries = marker_set.body, marker_set.file.segments
     names = body.segment_names
     tips = tips.copy()
@@ -88,7 +89,8 @@ def resized(marker_set: MarkerSet, offsets: FloatArray, tips: FloatArray) -> Ske
 
 
 def neutral_axes(body: Skeleton, axes: FloatArray, standing: FloatArray) -> FloatArray:
-    """Axes (F, S, 3, 3) turned, each segment by a constant, so that ``standing`` is the neutral posture.
+    """Return axes (F, S, 3, 3) turned, each segment by a constant, so that ``standing`` is the neutral
+    posture.
 
     standing: (S, 3, 3) mean axes while the person stood neutral. All segments then have the axes of an
     upright root that faces where the root faced.
@@ -100,7 +102,7 @@ def neutral_axes(body: Skeleton, axes: FloatArray, standing: FloatArray) -> Floa
 
 
 def upright_axes(body: Skeleton, root: FloatArray) -> FloatArray:
-    """(3, 3) of every segment in the neutral posture, facing where a root with axes (3, 3) faces."""
+    """Return (3, 3) of every segment in the neutral posture, facing where a root with axes (3, 3) faces."""
     forward = root[:, 0]
     heading = np.arctan2(forward[1], forward[0])
     turn = np.array([np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading)])
@@ -108,7 +110,7 @@ def upright_axes(body: Skeleton, root: FloatArray) -> FloatArray:
 
 
 def facing_axes(body: Skeleton, p_w: FloatArray, otherwise: FloatArray) -> FloatArray:
-    """(3, 3) of an upright body that faces across the line from its left joints to its right ones.
+    """Return (3, 3) of an upright body that faces across the line from its left joints to its right ones.
 
     p_w: (S, 3) m of standing. Joints come from motion and are surer than single markers. otherwise: (3, 3)
     axes of the root, for a body without left and right.
@@ -127,8 +129,8 @@ def facing_axes(body: Skeleton, p_w: FloatArray, otherwise: FloatArray) -> Float
 
 
 def straightened(body: Skeleton, offsets: FloatArray) -> FloatArray:
-    """Offsets (S, 3) as long as they are, in the directions that the body file has them: of a person whose
-    axes were set in the neutral posture, where a hinge hides its place along its own axis."""
+    """Return offsets (S, 3) as long as they are, in the directions that the body file has them: of a person
+    whose axes were set in the neutral posture, where a hinge hides its place along its own axis."""
     length = np.linalg.norm(offsets, axis=1, keepdims=True)
     own = np.linalg.norm(body.offsets, axis=1, keepdims=True)
     straight: FloatArray = np.where(own > 0, body.offsets * length / np.where(own > 0, own, 1.0), offsets)
@@ -136,14 +138,15 @@ def straightened(body: Skeleton, offsets: FloatArray) -> FloatArray:
 
 
 def mean_rotation(rotations: FloatArray) -> FloatArray:
-    """The rotation nearest the mean of (F, 3, 3), NaN left out: (3, 3), by singular values (Markley 2007)."""
+    """Return the rotation nearest the mean of (F, 3, 3), NaN left out: (3, 3), by singular values (Markley
+    2007)."""
     u, _, vt = np.linalg.svd(np.nanmean(rotations, axis=0))
     nearest: FloatArray = u @ np.diag([1.0, 1.0, float(np.linalg.det(u @ vt))]) @ vt
     return nearest
 
 
 def _mean_within(axes: FloatArray, vectors: FloatArray, otherwise: FloatArray) -> FloatArray:
-    """(3,) mean of vectors (F, 3) as seen in axes (F, 3, 3); ``otherwise`` where no frame knows it."""
+    """Return (3,) mean of vectors (F, 3) as seen in axes (F, 3, 3); ``otherwise`` where no frame knows it."""
     local = np.einsum("fij,fi->fj", axes, vectors)
     known = np.isfinite(local).all(axis=1)
     mean: FloatArray = local[known].mean(axis=0) if known.any() else otherwise
@@ -181,7 +184,7 @@ def unseen(marker_set: MarkerSet, axes: Sequence[FloatArray]) -> dict[str, list[
 
 
 def _needed(marker_set: MarkerSet, name: str) -> list[str]:
-    """The points that a segment's axes are laid by."""
+    """Return the points that a segment's axes are laid by."""
     rule = marker_set.file.segments[name].axes
     assert rule is not None  # whose axes are never seen has a rule for them
     return [*dict.fromkeys([*rule.primary[1:], *rule.secondary[1:]])]
@@ -201,7 +204,7 @@ def _refuse_unseen(marker_set: MarkerSet, axes: FloatArray) -> None:
 
 
 def _markers_under(marker_set: MarkerSet, names: Iterable[str]) -> list[str]:
-    """The markers that points rest on, worn or not."""
+    """Return the markers that points rest on, worn or not."""
     points, found, open_names = marker_set.file.points, dict.fromkeys(names), list(names)
     for name in open_names:
         for rule in marker_set.rules(name) if name in points else []:

@@ -33,7 +33,8 @@ _HOPELESS = 0.1  # m: a marker this far off says no more about a pose
 
 @compiled
 def rigid(here: FloatArray, there: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """R, t with there ≈ R here + t over the rows known in both (n, 3): Kabsch 1976 (Acta Cryst. A32: 922)."""
+    """Return R, t with there ≈ R here + t over the rows known in both (n, 3): Kabsch 1976 (Acta Cryst. A32:
+    922)."""
     n = 0
     a, b = np.zeros(3), np.zeros(3)
     for i in range(len(here)):
@@ -58,7 +59,7 @@ def rigid(here: FloatArray, there: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @compiled
 def turned_on(before: FloatArray, now: FloatArray, fraction: float) -> FloatArray:
-    """Orientations (S, 3, 3) turned on by a fraction of the turn between two poses."""
+    """Return orientations (S, 3, 3) turned on by a fraction of the turn between two poses."""
     ahead = np.empty_like(now)
     for s in range(len(now)):
         ahead[s] = rm.multiply(now[s], rm.from_rotation_vector(fraction * rm.increment(before[s], now[s])))
@@ -66,7 +67,7 @@ def turned_on(before: FloatArray, now: FloatArray, fraction: float) -> FloatArra
 
 
 def start_pose(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> Pose | None:
-    """The pose of markers (M, 3) from nothing but them; None with fewer than three markers.
+    """Return the pose of markers (M, 3) from nothing but them; None with fewer than three markers.
 
     neutral: (3, 3) of every segment in the neutral posture. The body is laid over the markers as if it were
     rigid and then let loose, once from the neutral posture and once with all joints in the middle of their
@@ -82,7 +83,8 @@ def start_pose(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> P
 
 
 def laid_anew(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose | None:
-    """A cheaper pose, with segments laid over markers of their own that the pose misses; None without one.
+    """Return a cheaper pose, with segments laid over markers of their own that the pose misses; None without
+    one.
 
     After a gap a segment may have turned so far that half of its markers or more count as ghosts: a minimum
     of its own as well. Where three or more lie to each other as they should, none of them is one.
@@ -110,7 +112,7 @@ def laid_anew(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose | None
 
 
 def _untwisted(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose:
-    """The pose, or a cheaper one with segments turned half round about their length.
+    """Return the pose, or a cheaper one with segments turned half round about their length.
 
     An elbow seen by one marker can be met with the upper arm turned round and the elbow bent backwards: a
     minimum of its own, that no small step leads out of.
@@ -133,7 +135,7 @@ def _untwisted(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose:
 
 
 def _is_bent(model: BodyModel, row: int, pose: Pose) -> bool:
-    """Whether an angle of a joint is beyond its limits by more than ``LIMIT_SIGMA``."""
+    """Return whether an angle of a joint is beyond its limits by more than ``LIMIT_SIGMA``."""
     distal = model.distals[row]
     angles, _, is_regular = kernels.cardan(pose.R[model.parents[distal]], pose.R[distal], model.axes[row])
     angles = angles * model.signs[row]
@@ -154,7 +156,7 @@ def _settled(model: BodyModel, observed: FloatArray, R: FloatArray) -> Pose:
 
 
 def _middle_posture(model: BodyModel, neutral: FloatArray) -> FloatArray:
-    """(S, 3, 3) with every joint in the middle of its limits, where it has any."""
+    """Return (S, 3, 3) with every joint in the middle of its limits, where it has any."""
     R = np.tile(neutral, (len(model.parents), 1, 1))
     for row, distal in enumerate(model.distals.tolist()):
         limits = np.where(np.isfinite(model.limits[row]), model.limits[row], 0.0)

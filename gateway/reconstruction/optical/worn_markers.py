@@ -41,7 +41,7 @@ class Dressed:
 
 
 def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str | None = None) -> Dressed:
-    """Trials with their markers called as in the set, and the set without what is in none of them.
+    """Return trials with their markers called as in the set, and the set without what is in none of them.
 
     person: as in ``spelt``. Raises ``FormatError`` as that does, ``GatewayError`` for a trial without any
     marker of the set.
@@ -60,33 +60,38 @@ def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str
         ghosts.update({names[name]: count for name, count in found.items()})
         _refuse_wrong_unit(trial, marker_set)
         called.append(trial)
-    _refuse_bare_root(marker_set, names, trials[0])
     worn = worn_part(marker_set, names)
+    _refuse_bare_root(marker_set, worn, trials[0])
     left_out = tuple(name for name in marker_set.body.segment_names if name not in worn.body.segment_names)
     return Dressed(worn, tuple(called), names, left_out, dict(ghosts))
 
 
 def worn_part(marker_set: MarkerSet, labels: Collection[str], without: Collection[str] = ()) -> MarkerSet:
-    """The set with these markers only, and its body without the limbs that carry none of them.
+    """Return the set with these markers only, and its body without the limbs that carry none of them.
 
-    Segments to which the set itself gives no marker stay where they follow one that stays, and are not among
-    those that are to go (``without``).
+    The body hangs from its root, or, where that carries none of the markers, from the segment from which all
+    hang that do. Segments to which the set itself gives no marker stay where they follow one that stays, and
+    are not among those that are to go (``without``).
     """
     file, body = marker_set.file, marker_set.body
     markers = {segment: [label for label in own if label in labels] for segment, own in file.markers.items()}
     carrying = [s for s, name in enumerate(body.segment_names) if markers.get(name)]
-    part = reduced(body, [0, *carrying])
+    hung = [] if file.markers.get(body.segment_names[0]) and 0 not in carrying else [0]
+    part = reduced(body, [*hung, *carrying])
     following = [
         s for s, name in enumerate(body.segment_names)
         if name not in without
         and not file.markers.get(name)
         and body.segment_names[body.parents[s]] in part.segment_names
     ]  # fmt: skip
-    part = reduced(body, [0, *carrying, *following])
+    part = reduced(body, [*hung, *carrying, *following])
     kept = part.segment_names
+    segments = {segment: rule for segment, rule in file.segments.items() if segment in kept}
+    if not hung and (axes := segments[kept[0]].axes) is not None:
+        segments[kept[0]] = segments[kept[0]].model_copy(update={"origin": axes.primary[1]})
     changes = {
         "markers": {segment: own for segment, own in markers.items() if own and segment in kept},
-        "segments": {segment: rule for segment, rule in file.segments.items() if segment in kept},
+        "segments": segments,
         "points": {point: _first_worn(marker_set, point, labels) for point in file.points},
     }
     return marker_set.model_copy(update={"file": file.model_copy(update=changes), "body": part})
@@ -105,7 +110,7 @@ def _first_worn(marker_set: MarkerSet, point: str, labels: Collection[str]) -> l
 
 
 def fitting_set(trials: Sequence[MarkerTrial], person: str | None = None) -> MarkerSet:
-    """The shipped marker set of which the trials have most markers; of equals the smallest.
+    """Return the shipped marker set of which the trials have most markers; of equals the smallest.
 
     Raises ``GatewayError`` that names the shipped ones where the trials have hardly a marker of any.
     """
@@ -137,14 +142,15 @@ def _seen(trial: MarkerTrial, labels: Sequence[str]) -> set[str]:
     return {label for m, label in enumerate(labels) if np.isfinite(places[:, m]).all(axis=1).any()}
 
 
-def _refuse_bare_root(marker_set: MarkerSet, worn: Collection[str], trial: MarkerTrial) -> None:
-    root = marker_set.body.segment_names[0]
+def _refuse_bare_root(marker_set: MarkerSet, worn: MarkerSet, trial: MarkerTrial) -> None:
+    """Raise ``GatewayError`` where the segment from which a worn part hangs has no marker, or no axes."""
+    root = worn.body.segment_names[0]
     own = marker_set.file.markers.get(root, [])
-    if own and not {*own} & {*worn}:
+    if own and not (worn.file.markers.get(root) and worn.file.segments[root].axes):
         raise GatewayError(
-            f"{trial.name}: {len(worn)} markers of '{marker_set.file.name}', the nearest set, and none of "
-            f"its {root} ({', '.join(own)}), from which the body hangs; it has {_some_labels(trial)}: "
-            "describe them in a file and name it with --set"
+            f"{trial.name}: {len(worn.labels)} markers of '{marker_set.file.name}', the nearest set, and "
+            f"none of its {root} ({', '.join(own)}), from which the body hangs; it has "
+            f"{_some_labels(trial)}: describe them in a file and name it with --set"
         )
 
 

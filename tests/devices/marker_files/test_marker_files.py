@@ -108,7 +108,8 @@ def test_trc_gaps_units_and_errors(tmp_path: Path) -> None:
     lines = source.read_text().splitlines()
     for edit, message in [
         (lines[:6], "cut off: no frame behind its header"),
-        ([lines[0], *lines[1:6], lines[6].replace("617.247620", "wide"), *lines[7:]], "line 7.*wide"),
+        ([*lines[:6], re.sub(r"\d+\.\d+", "wide", lines[6]), *lines[7:]], "line 7: 'wide' and others are no"),
+        ([*lines[:6], lines[6] + "\t1", *lines[7:]], "line 7: 125 coordinates where 123 are wanted"),
         ([*lines[:2], lines[2].replace("mm", "ell"), *lines[3:]], "Units is 'ell'"),
         (["nothing", *lines[1:]], "line 1: not a TRC file"),
     ]:
@@ -130,8 +131,21 @@ def test_trc_gaps_units_and_errors(tmp_path: Path) -> None:
         (lambda lines: [line + "\r" for line in lines], "utf-8"),
         (lambda lines: [*lines[:3], re.sub(r"\t([LR])\.", r"\tBob:\1.", lines[3]), *lines[4:]], "utf-8"),
         (lambda lines: [*lines[:3], re.sub(r"\t+", r"\t", lines[3]), *lines[4:]], "utf-8"),
+        (lambda lines: [*lines[:5], *[re.sub(r"\b(\d)(\d{3}\.)", r"\1,\2", x) for x in lines[5:]]], "utf-8"),
+        (lambda lines: [*lines[:2], lines[2].replace("mm", "Millimetres"), *lines[3:]], "utf-8"),
     ],
-    ids=["comma", "utf-16", "mark", "no X1 Y1", "blank line", "crlf", "prefix", "one tab"],
+    ids=[
+        "comma",
+        "utf-16",
+        "mark",
+        "no X1 Y1",
+        "blank line",
+        "crlf",
+        "prefix",
+        "one tab",
+        "thousands",
+        "unit",
+    ],
 )
 def test_a_trc_as_other_programs_write_it(tmp_path: Path, change, encoding: str) -> None:
     source = DATA / "trc_opensim" / "marker_trajectories.trc"
@@ -167,9 +181,41 @@ def test_a_trc_whose_header_does_not_fit_is_taken_and_told(tmp_path: Path, chang
     np.testing.assert_array_equal(found.positions[:94], read_markers(source).positions[:94])
 
 
-def test_an_unknown_suffix_names_the_known() -> None:
-    with pytest.raises(FormatError, match=r"\.c3d or \.trc"):
-        read_markers(Path("walk.xlsx"))
+def test_what_is_no_marker_file_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    table = tmp_path / "walk.xlsx"
+    table.write_bytes(b"PK rows")
+    with pytest.raises(FormatError, match=r"end in \.c3d or \.trc.*: have the program .* export"):
+        read_markers(table)
+    with pytest.raises(FormatError, match="is a folder: name the marker files in it"):
+        read_markers(tmp_path)
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("source", "name"),
+    [
+        ("trc_opensim/marker_trajectories.trc", "walk.c3d"),
+        ("trc_opensim/marker_trajectories.trc", "walk.csv"),
+        ("c3d_pycgm/Static_trial.c3d", "stand"),
+        ("c3d_pycgm/Static_trial.c3d", "stand.trc"),
+    ],
+)
+def test_a_file_counts_for_what_it_holds_whatever_its_name(tmp_path: Path, source: str, name: str) -> None:
+    (tmp_path / name).write_bytes((DATA / source).read_bytes())
+    np.testing.assert_array_equal(
+        read_markers(tmp_path / name).positions, read_markers(DATA / source).positions
+    )
+
+
+@needs_data
+@pytest.mark.parametrize("spelt", ["#N/A", "-nan(ind)", "1.#QNAN", "VOID", "?"])
+def test_a_coordinate_that_is_text_was_not_seen_and_is_told(tmp_path: Path, spelt: str) -> None:
+    lines = (DATA / "trc_opensim" / "marker_trajectories.trc").read_text().splitlines()
+    path = tmp_path / "t.trc"
+    path.write_text("\n".join([*lines[:6], lines[6].replace("617.247620", spelt), *lines[7:]]))
+    found = read_markers(path)
+    assert np.isnan(found.positions[0, 0]).all()
+    assert f"1 coordinates are no numbers ('{spelt}')" in found.notes[-1]
 
 
 def _trial() -> MarkerTrial:

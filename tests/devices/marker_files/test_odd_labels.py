@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
+import pytest
 
 from devices.marker_files.naming import spellings
 from devices.marker_files.trial import label_notes, seen_points
+from devices.vendor_formats.sheets import FormatError
 
 WANTED = ("LASI", "RASI", "LPSI", "RPSI", "LTHI", "LKNE", "C7")
 
@@ -33,6 +37,28 @@ def test_unnamed_points_do_not_hide_what_all_others_share():
 def test_points_at_the_origin_or_beyond_a_kilometre_were_not_seen():
     points = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [9999.0, 9999.0, 9999.0], [np.inf, 0.0, 1.0]]])
     assert np.isfinite(seen_points(points)).all(axis=2).tolist() == [[False, True, False, False]]
+
+
+def test_a_side_may_stand_behind_a_name_or_be_written_out():
+    behind = [f"{label[1:]}_{label[0]}" if label[0] in "LR" else label for label in WANTED]
+    written = [label.replace("L", "Left ", 1) if label[0] == "L" else label for label in WANTED]
+    assert _all(behind) == _all(written) == list(WANTED)
+
+
+def test_people_may_stand_behind_the_names_of_their_markers():
+    labels = [f"{label}_{person}" for person in (1, 2) for label in WANTED]
+    with pytest.raises(FormatError, match="markers of 1 and 2: tell whose are meant with --person 1"):
+        spellings(labels, WANTED)
+    assert spellings(labels, WANTED, person="2") == {f"{label}_2": label for label in WANTED}
+    assert spellings(labels, ("R.ASIS", "X1"), {"RASI": "R.ASIS"}, person="2") == {"RASI_2": "R.ASIS"}
+    own = [f"{label}_2" for label in WANTED]
+    assert spellings(labels, own) == {label: label for label in own}
+
+
+def test_clusters_that_are_numbered_are_no_people():
+    wanted = (*WANTED, "LTHI1", "LTHI2", "RTHI1", "RTHI2", "LTIB1", "LTIB2", "LTHI", "RTHI", "LTIB")
+    labels = [re.sub(r"([A-Z])([12])$", r"\1_\2", label) for label in wanted]
+    assert list(map(spellings(labels, wanted).get, labels)) == list(wanted)
 
 
 def test_names_that_several_points_have_are_told():

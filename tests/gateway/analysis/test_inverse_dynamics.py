@@ -1,8 +1,11 @@
 """Torques against the closed form of pendulums, and standing still against a person's weight."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from gateway.analysis.floor import FloorForces
 from gateway.analysis.inverse_dynamics import inverse_dynamics
 from gateway.analysis.smooth_motion import smooth_motion
 from gateway.body.inertia import BodyInertia, body_inertia
@@ -92,3 +95,50 @@ def test_standing_still_takes_the_weight(name):
     assert inertia.share == pytest.approx(1.0, abs=2e-3)
     assert found.residual_force[:, 2] == pytest.approx(inertia.mass.sum() * 9.81, rel=1e-9)
     assert np.abs(found.residual_force[:, :2]).max() < 1e-9
+
+
+LEG = ("left_thigh", "left_shank", "left_foot")
+
+
+def held_up_by_one_foot(hip_shift_m=0.0):
+    """A person who stands still, a floor force of three components under the left foot, off its middle; hip,
+    leg and inertia, and the dynamics."""
+    body, motion = standing("human_17")
+    shifted = body.offsets.copy()
+    shifted[body.index("left_thigh"), 0] += hip_shift_m
+    body = replace(body, offsets=shifted)
+    motion = replace(motion, skeleton=body)
+    inertia = body_inertia(body, 70.0, "male")
+    force, at = np.array([60.0, -25.0, 650.0]), np.array([0.11, 0.13, 0.0])
+    foot = np.array([body.index("left_foot")])
+    shape = (len(motion.time_s), 1, 3)
+    floor = FloorForces(
+        foot, np.broadcast_to(force, shape), np.broadcast_to(np.cross(at, force), shape),
+        np.ones(shape[:2], np.uint8), np.zeros(shape[:2]),
+    )  # fmt: skip
+    return body, inertia, force, at, inverse_dynamics(motion, inertia, GRAVITY, floor)
+
+
+@pytest.mark.parametrize("hip_shift_m", [0.0, 0.02])
+def test_hip_moment_over_a_floor_force_is_that_of_statics(hip_shift_m):
+    """By hand: what holds the leg at the hip against its weight and the floor's force."""
+    body, inertia, force, at, found = held_up_by_one_foot(hip_shift_m)
+    hip = found.p_w[0, body.index("left_thigh")]
+    by_hand = np.cross(at - hip, force)
+    for name in LEG:
+        s = body.index(name)
+        centre = found.p_w[0, s] + found.rotation_wb[0, s] @ inertia.centre[s]
+        by_hand += np.cross(centre - hip, inertia.mass[s] * GRAVITY)
+    assert found.moment[0, body.index("left_thigh")] == pytest.approx(-by_hand, abs=1e-9)
+
+
+def test_a_hip_two_centimetres_elsewhere_changes_its_moment_by_force_times_distance():
+    """So two models that agree on everything but the hip's centre differ by a good part of a walk's peak."""
+    body, _, force, _, here = held_up_by_one_foot()
+    *_, there = held_up_by_one_foot(0.02)
+    hip = body.index("left_thigh")
+    moved = there.p_w[0, hip] - here.p_w[0, hip]
+    assert np.linalg.norm(moved) == pytest.approx(0.02)
+    # the leg moves with its hip, so that its own weight has the same lever
+    assert there.moment[0, hip] - here.moment[0, hip] == pytest.approx(np.cross(moved, force), abs=1e-9)
+    assert 12.0 < np.linalg.norm(np.cross(moved, force)) < 14.0

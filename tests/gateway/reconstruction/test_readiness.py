@@ -8,11 +8,14 @@ import sys
 
 import pytest
 
+from gateway.body.rig import load_rig
 from gateway.errors import GatewayError
 from gateway.geometry import compiled
 from gateway.reconstruction import FUSED, RECONSTRUCTORS
 from gateway.service import readiness
+from gateway.settings import fitting_suit, load_gateway_settings
 from tests.fixtures.processes import REPOSITORY
+from tests.marked_person import subject_file
 
 
 @pytest.fixture
@@ -34,6 +37,15 @@ def let_through(empty):
 def test_what_takes_orientations_from_the_modules_is_ready_always(empty):
     for name in FUSED:
         assert readiness.is_ready(name)
+
+
+def test_a_subject_with_markers_waits_for_no_method_of_modules(empty, tmp_path):
+    """`run` fell back to one, which such a subject cannot have, and refused to start."""
+    path, _, _ = subject_file(tmp_path, "z")
+    config = tmp_path / "lab.yaml"
+    config.write_text(f"links: [{{name: cameras, url: 'udp://:0', carries: markers}}]\nrig: {path.name}\n")
+    settings = load_gateway_settings(config)
+    assert readiness.is_ready(fitting_suit(settings, load_rig(settings.rig, config)).reconstructor)
 
 
 def test_in_an_empty_cache_no_method_is_ready_that_must_be_compiled(empty):

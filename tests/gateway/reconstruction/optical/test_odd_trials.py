@@ -15,6 +15,8 @@ from gateway.cli.optical import fit_doubts
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import fit_body
 from gateway.reconstruction.optical.ghosts import without_ghosts
+from gateway.reconstruction.optical.landmarks import vertical_axis
+from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.worn_markers import fitting_set
 from gateway.recording.optical import write_solved_trial
 from tests.marked_person import subject_file
@@ -91,3 +93,60 @@ def test_a_trial_that_shows_nothing_or_is_too_fast_is_not_solved(tmp_path):
         write_solved_trial(empty, source, suit, str(path), tmp_path / "a.mcap")
     with pytest.raises(GatewayError, match="9999 frames a second, of which 4000"):
         write_solved_trial(replace(empty, rate_hz=9999.0), source, suit, str(path), tmp_path / "b.mcap")
+
+
+def _only(trial: MarkerTrial, segments: tuple[str, ...]) -> MarkerTrial:
+    """A trial with the Plug-in-Gait markers of some segments alone."""
+    labels = [label for name in segments for label in load_marker_set("plug_in_gait").file.markers[name]]
+    kept = [m for m, label in enumerate(trial.labels) if label in labels]
+    return replace(trial, labels=tuple(trial.labels[m] for m in kept), positions=trial.positions[:, kept])
+
+
+@needs_data
+def test_an_upper_body_hangs_from_its_thorax(walk):
+    sides = [f"{side}_{part}" for side in ("left", "right") for part in ("upper_arm", "forearm", "hand")]
+    girdles = ("left_shoulder_girdle", "right_shoulder_girdle")
+    upper = _only(walk, ("thorax", "head", *girdles, *sides))
+    found = fit_body(fitting_set([upper]), [upper])
+    whole = fit_body(fitting_set([walk]), [walk])
+    assert found.skeleton.segment_names[0] == "thorax"
+    assert {"pelvis", "left_foot"} <= set(found.left_out)
+    assert found.rmse < 0.005
+    for name in ("left_forearm", "right_upper_arm", "head"):
+        tips = [np.linalg.norm(fit.skeleton.tips[fit.skeleton.index(name)]) for fit in (found, whole)]
+        assert tips[0] == pytest.approx(tips[1], abs=0.006), name
+    assert "left_elbow_width" in found.lengths
+    assert not {"left_knee_width", "right_ankle_width"} & set(found.assumed)
+
+
+@needs_data
+def test_feet_alone_hang_from_nothing(walk):
+    feet = _only(walk, ("left_foot", "right_foot", "left_shank", "right_shank"))
+    with pytest.raises(GatewayError, match=r"none of its pelvis .*, from which the body hangs.*--set"):
+        fit_body(load_marker_set("plug_in_gait"), [feet])
+
+
+@needs_data
+@pytest.mark.parametrize(("turn", "axis"), [([1, -1, -1], "-z"), ([1, 1, 1], "z")])
+def test_an_axis_that_points_down_is_found_and_told(walk, turn, axis):
+    odd = replace(walk, positions=walk.positions[::3] * np.array(turn, float))
+    found = fit_body(fitting_set([odd]), [odd])
+    assert found.markers.vertical == axis
+    assert any("points down in the files" in doubt for doubt in fit_doubts(found)) == (axis == "-z")
+    assert found.backwards == ()
+
+
+def test_without_feet_and_shoulders_the_axis_is_asked_for():
+    trial = MarkerTrial("t", ("LTHI", "LKNE"), 100.0, np.random.default_rng(0).random((5, 2, 3)))
+    with pytest.raises(
+        GatewayError, match=r"which axis points up is not seen without LHEE .*: tell it with --up"
+    ):
+        vertical_axis(load_marker_set("plug_in_gait"), trial)
+
+
+@needs_data
+def test_a_static_trial_of_somebody_else_is_doubted(walk):
+    still = replace(walk, name="still", positions=1.3 * walk.positions[:4])
+    found = fit_body(fitting_set([walk]), [still, walk])
+    assert found.other_sizes == {walk.name: pytest.approx(1 / 1.3, abs=0.02)}
+    assert any("another person" in doubt for doubt in fit_doubts(found))
