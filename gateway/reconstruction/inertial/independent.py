@@ -38,7 +38,7 @@ HELD, MISSING, PREDICTED, UNAIDED = (
 
 
 RANGES = tuning()
-"""Where sensors are saturated that do not say so themselves, the same as for ``joint``."""
+"""Limits of sensors that do not report saturation themselves, the same as for ``joint``."""
 
 
 class IndependentReconstructor:
@@ -94,7 +94,7 @@ class IndependentReconstructor:
         self._time_ns = 0
 
     def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
-        """One instant."""
+        """Return the pose of one instant."""
         sun = observation.sun
         if sun is not None:
             observation = with_sun_as_field(observation, sun)
@@ -132,7 +132,7 @@ class IndependentReconstructor:
         )
 
     def _step_filters(self, observation: ImuFrame) -> StatusArray:
-        """Feeds every module's filter; the status by segment, PREDICTED where there is no module."""
+        """Feed every module's filter; return the status by segment, PREDICTED where there is no module."""
         status = np.full(len(self._parents), PREDICTED, np.uint8)
         f, w, x = (np.array(v, np.float64, order="C") for v in _rows_of(observation))
         is_inertial, has_field = _has_values(f, w), _has_values(x)
@@ -164,7 +164,7 @@ class IndependentReconstructor:
 
 
 def _beyond(values: FloatArray, largest: float) -> NDArray[np.bool_]:
-    """(n_modules,) whether a sensor is at the end of its range on any axis."""
+    """Return, (n_modules,), whether a sensor is at the end of its range on any axis."""
     is_beyond: NDArray[np.bool_] = np.logical_or.reduce(np.abs(values) > largest, axis=1)
     return is_beyond
 
@@ -174,19 +174,19 @@ def _rows_of(observation: ImuFrame) -> tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _has_values(*sensors: FloatArray) -> NDArray[np.bool_]:
-    """(n_modules,) whether all the sensors gave finite values."""
+    """Return, (n_modules,), whether all the sensors gave finite values."""
     has: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(np.hstack(sensors)), axis=1)
     return has
 
 
 def _facing(field: FloatArray) -> FloatArray:
-    """(4,) from the filter's world, whose y points where the field (3,) does, to ENU."""
+    """Return the rotation (4,) from the filter's world, whose y points where the field (3,) does, to ENU."""
     declination = math.atan2(field[0], field[1])
     return quaternion.from_rotation_vector(np.array([0.0, 0.0, -declination]))
 
 
 def _inverse_alignment(suit: WornSuit) -> FloatArray:
-    """q_sb, (n_segments, 4)."""
+    """Return q_sb, segment to sensor, (n_segments, 4)."""
     return np.stack([quaternion.conjugate(quaternion.normalise(q)) for q in suit.sensor_to_segment])
 
 
@@ -204,7 +204,7 @@ def _body_pose(
     lever_arms: FloatArray,
     gravity: FloatArray,
 ) -> tuple[FloatArray, FloatArray, StatusArray]:
-    """Orientations and joint accelerations in the world, (n, 4) and (n, 3), and the status."""
+    """Return orientations (n, 4) and joint accelerations (n, 3), m/s², in the world, and the status (n,)."""
     n = len(parents)
     q_wb, acceleration, status = np.full((n, 4), np.nan), np.full((n, 3), np.nan), sensed.copy()
     for s in range(n):

@@ -47,8 +47,10 @@ CUT_OFF = 1e6
 
 @compiled
 def follow_field(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Update the compass of every started module by the field it measures, section 8. dt: s since the
-    instant before."""
+    """Update the compass of every started module by the field it measures, section 8.
+
+    dt: s since the instant before.
+    """
     expected, world = work.shared.expected, body.world
     segments, works = state.segments, work.segments
     expect_field(expected, world, tuning, dt)
@@ -88,8 +90,7 @@ def expect_field(expected: ExpectedField, world: World, tuning: Tuning, dt: floa
 def watch_field(
     segment: Segment, now: SegmentWork, world: World, expected: ExpectedField, tuning: Tuning, dt: float
 ) -> None:
-    """Set ``now.field_off`` (27) and ``now.disturbance`` (D of (31)) of a segment, and update the field's
-    error, (28).
+    """Set ``now.field_off`` and ``now.disturbance`` of a segment; (27), (28) and D of (31).
 
     The mean square by which norm and dip are wrong, ``segment.field_watch.error_square``, grows soon where
     they are worse than before, and shrinks only as the module turns.
@@ -246,8 +247,9 @@ def _compare(
     is_tree: bool,
     tuning: Tuning,
 ) -> None:
-    """Set ``expected``, ``apart`` and ``unwrapped`` of each segment for (32), and reset the sums of its
-    compasses.
+    """Set ``expected``, ``apart`` and ``unwrapped`` of each segment for (32).
+
+    The sums of its compasses are reset.
 
     ``expected`` and ``apart`` are mean (rad) and variance (rad²) of the heading's error less that of its
     parent, of a root in the world, without compasses. ``unwrapped`` is the compass's angle within half a turn
@@ -283,8 +285,10 @@ def _compare(
 
 @compiled
 def _expect_unobserved(segment: Segment, now: SegmentWork, has_parent: bool, tuning: Tuning) -> None:
-    """Set ``expected`` and ``apart`` by what motion has shown of an unobserved heading, as far as its two
-    sides agree."""
+    """Set ``expected`` and ``apart`` by what motion has shown of an unobserved heading.
+
+    That counts only where its two sides agree well enough.
+    """
     sums, unknown = segment.heading_sums, tuning.unknown_heading**2
     concentration = math.hypot(sums.along, sums.across)
     if has_parent:

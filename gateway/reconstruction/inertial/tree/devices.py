@@ -84,8 +84,10 @@ def device_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float)
 
 @compiled
 def has_spoken(device: Device, tuning: Tuning) -> bool:
-    """Return whether a row has come from the device lately, as judged by the interval of its last two
-    readings."""
+    """Return whether a row has come from the device lately.
+
+    How lately depends on the time between its last two readings.
+    """
     n, longest_s = device.n_readings, tuning.device_aids_s
     if n > 1:
         longest_s = max(longest_s, 1.5 * (device.readings[n - 1].time_s - device.readings[n - 2].time_s))
@@ -116,8 +118,10 @@ def _fixed_row(body: Body, state: State, tuning: Tuning, work: Work, d: int, dt:
 
 @compiled
 def _moving_row(body: Body, state: State, tuning: Tuning, work: Work, d: int) -> None:
-    """Add the row of a point whose acceleration is measured, ``work.shared.pair``; equations (14), (25)
-    and (26)."""
+    """Add the row of a point whose acceleration is measured; equations (14), (25) and (26).
+
+    ``work.shared.pair`` has its two sides.
+    """
     mount, device, shared = body.devices[d], state.devices[d], work.shared
     s, pair, learning = mount.segment, shared.pair, shared.learning
     segment, now = state.segments[s], work.segments[s]
@@ -151,8 +155,10 @@ def _moving_row(body: Body, state: State, tuning: Tuning, work: Work, d: int) ->
 
 @compiled
 def _variance_at_once(segment: Segment, now: SegmentWork, of_fit: float, tuning: Tuning) -> float:
-    """Return the first factor of (26), (m/s²)²: the variance of a single row of a moving point. of_fit: of
-    the fit, (m/s²)²."""
+    """Return the first factor of (26), (m/s²)²: the variance of a single row of a moving point.
+
+    of_fit: the readings' part, (m/s²)².
+    """
     at_once = of_fit + tuning.specific_force**2 + (tuning.lever_arm * now.motion) ** 2
     at_once += segment.vibration.square
     return float(at_once)
@@ -256,8 +262,10 @@ def note_frame(device: Device, segment: Segment, now: SegmentWork, tuning: Tunin
 def find_local_pair(
     pair: LocalPair, device: Device, mount: Mount, world: World, tuning: Tuning, time_s: float
 ) -> bool:
-    """Set ``pair`` to the sides, variance and span of a new fit, (24) and (25); return whether there is
-    one."""
+    """Set ``pair`` to both sides, variance and span of a new fit, (24) and (25).
+
+    Returns whether there is one.
+    """
     n, readings = device.n_readings, device.readings
     if device.is_waiting == 0 or n < LEAST_READINGS or readings[n - 1].time_s > time_s:
         return False
@@ -336,8 +344,9 @@ def _average_own_side(
     order: int,
     longest_gap_s: float,
 ) -> bool:
-    """Set u and turn of ``pair`` to averages with the fit's kernel, and the arm's matrix, (25); return
-    whether it could.
+    """Average u and turn of ``pair`` with the fit's kernel, and add up the arm's matrix, (25).
+
+    Returns whether that was possible.
 
     It cannot where the frames do not reach back to the first reading, or have a gap longer than
     ``longest_gap_s``.

@@ -35,8 +35,9 @@ RATE = Validity.RATE.value
 
 
 def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
-    """Return where the modules of each frame see the sun, (T, m + 1, 4): direction in sensor axes, standard
-    deviation (rad).
+    """Return where the modules of each frame see the sun, (T, m + 1, 4).
+
+    A row is a direction in sensor axes and its standard deviation, rad.
 
     The last row is the sun's direction in the world. (T, 0, 4) if none of the frames has it.
     """
@@ -94,8 +95,10 @@ def follow_sun(body: Body, state: State, tuning: Tuning, work: Work, dt: float) 
 
 @compiled
 def _follow_sun(segment: Segment, now: SegmentWork, world: FloatArray, tuning: Tuning, dt: float) -> None:
-    """Add the row (35) of one segment, or turn it if its heading is unobserved or unsure; world: (3,)
-    sun's direction."""
+    """Add the row (35) of one segment, or turn it if its heading is not known well.
+
+    world: (3,) direction of the sun.
+    """
     across, heading_variance = math.hypot(world[0], world[1]), segment.P[2, 2]
     off, height_off = _sun_error(segment.R, now.sun, world)
     tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
@@ -125,8 +128,10 @@ def _sun_error(R: FloatArray, sun: FloatArray, world: FloatArray) -> tuple[float
 
 @compiled
 def _steady_turn(look: SunSums, off: float, tuning: Tuning, dt: float) -> float:
-    """Return the turn that brings an unknown heading to the sun, rad, once it was seen steadily; 0: not
-    yet."""
+    """Return the turn that brings an unknown heading to the sun, rad; 0: not yet.
+
+    The sun must have been seen steadily.
+    """
     decay = math.exp(-dt / tuning.sun_look_memory_s)
     look.along = look.along * decay + math.cos(off) * dt
     look.across = look.across * decay + math.sin(off) * dt

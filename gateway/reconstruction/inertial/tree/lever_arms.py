@@ -2,13 +2,14 @@
 
 The two sides of a joint's row are ``force + K r`` with the filtered lever-arm matrix
 ``K = R ([ω̇]× + [ω]×²)``. Arms that are off by ``e`` leave ``u − u_p = … − K e + K_p e_p``: linear in e with
-coefficients that the motion changes all the time, so orientation and arms can be told apart. Each joint has
-a small Kalman filter of its own for its six components; the orientation error enters it as noise that stays
-for a while, and what the arms are still uncertain of enters the orientation's rows. Directions that never
-show stay as measured. Where a segment has a local device, the place of that on it is found in the same way,
-and the constant error ``b`` of the accelerometer shows too, as ``R b`` averaged as the row is; between two
-modules it does not show well enough to be of use.
-A joint's rows are correlated over the low-pass, so what they say of constants is asked every ``learn_s``.
+coefficients that the motion changes all the time, so errors of orientation and of arms can be separated. Each
+joint has a small Kalman filter of its own for its six components; the orientation error enters it as noise
+that stays for a while, and what the arms are still uncertain of enters the orientation's rows. Directions
+that never show stay as measured. Where a segment has a local device, the place of that on it is found in the
+same way, and the constant error ``b`` of the accelerometer shows too, as ``R b`` averaged as the row is;
+between two modules it does not show well enough to be of use.
+
+A joint's rows are correlated over the low-pass, so constants are learnt from them only every ``learn_s``.
 """
 
 from __future__ import annotations
@@ -57,8 +58,10 @@ def relative_covariance(child: Segment, parent: Segment) -> Symmetric:
 
 @compiled
 def spread(x: float, y: float, z: float, D: Symmetric) -> Three:
-    """Return the diagonal of S of (16), ``[v]× D [v]×ᵀ`` with v = (x, y, z): what D makes of a vector's
-    components."""
+    """Return the diagonal of S of (16), ``[v]× D [v]×ᵀ`` with v = (x, y, z).
+
+    It is the variance that an orientation of covariance D gives to the components of a vector.
+    """
     xx, yy, zz, yz, xz, xy = D
     return (
         z * z * yy - 2.0 * y * z * yz + y * y * zz,
@@ -69,8 +72,7 @@ def spread(x: float, y: float, z: float, D: Symmetric) -> Three:
 
 @compiled
 def is_due(child: Segment, tuning: Tuning, dt: float) -> bool:
-    """Return whether the lever arms of the joint between a segment and its parent are to be learnt at this
-    instant.
+    """Return whether the lever arms between a segment and its parent are to be learnt now.
 
     Counts the time since they last were; the limit leaves room for frames that jitter.
     """
@@ -80,8 +82,7 @@ def is_due(child: Segment, tuning: Tuning, dt: float) -> bool:
 
 @compiled
 def learn_joint_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> None:
-    """Correct the joint's ``arms`` and, in place, its sides ``u`` and ``u_parent``; equations (41) to (43)
-    and (46).
+    """Correct the joint's ``arms`` and its sides ``u`` and ``u_parent``; (41) to (43), (46).
 
     Called where ``is_due``. ``arms.row_variance`` is set to what the arms' uncertainty adds to a component of
     a single row, whose own variance is ``learning.at_once``.
@@ -114,8 +115,7 @@ def learn_joint_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float
 def learn_fixed_point(
     device: Device, segment: Segment, now: SegmentWork, shared: SharedWork, tuning: Tuning, dt: float
 ) -> float:
-    """Correct ``device.shift`` of a fixed point and ``segment.force_bias``, equation (44); return their
-    uncertainty's share.
+    """Correct ``device.shift`` of a fixed point and ``segment.force_bias``, equation (44).
 
     ``pair.u`` must equal the known ``pair.y`` there, and is corrected in place. Returned is what the
     uncertainty of both adds to the row's variance, (m/s²)².
@@ -132,8 +132,10 @@ def learn_fixed_point(
 def learn_device(
     device: Device, segment: Segment, shared: SharedWork, tuning: Tuning, interval_s: float
 ) -> float:
-    """Correct ``device.shift`` of a device whose acceleration is measured every ``interval_s``, as
-    ``learn_fixed_point`` does.
+    """Correct ``device.shift`` and ``segment.force_bias`` by a moving point, equation (44).
+
+    interval_s: time between its rows. Returns what the uncertainty of both adds to the row's variance,
+    (m/s²)².
 
     The frames kept for the next fits are corrected by the accelerometer's error as well.
     """
@@ -163,8 +165,9 @@ def _averaged_turn(segment: Segment, tuning: Tuning, i: int, j: int) -> float:
 def _learn_point(
     device: Device, segment: Segment, shared: SharedWork, tuning: Tuning, interval_s: float
 ) -> float:
-    """Correct shift and accelerometer by ``learning.rows`` (columns: arm, accelerometer's error), equations
-    (43) to (45).
+    """Correct shift and accelerometer by ``learning.rows``, equations (43) to (45).
+
+    Columns: the arm, the accelerometer's error.
 
     Returns what their uncertainty adds to the row's variance, (m/s²)².
     """

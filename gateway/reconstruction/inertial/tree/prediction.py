@@ -71,8 +71,7 @@ def exceeds(v: FloatArray, limit: float) -> bool:
 
 @compiled
 def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Turn every started segment over dt (s) by its mean rate and propagate its covariances, section 3, in
-    place."""
+    """Turn every started segment over dt (s) and propagate its covariances, section 3."""
     links, segments, works = body.segments, state.segments, work.segments
     for s in range(len(links)):
         segment, now, parent = segments[s], works[s], links[s].parent
@@ -103,8 +102,7 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
 
 @compiled
 def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
-    """Set ``now.mean_rate`` by the gyroscope, equation (2); return the density of its noise, (rad/s)²/Hz,
-    equation (5)."""
+    """Set ``now.mean_rate`` by the gyroscope, (2); return its noise, (rad/s)²/Hz, (5)."""
     lasted_s, gap = _end_gap(segment, now, tuning, dt), segment.gap
     _mean_rate(segment, now, lasted_s)
     speed = norm(now.mean_rate)
@@ -130,8 +128,9 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
 
 @compiled
 def _end_gap(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
-    """Return the time since the sample with which this one gives the mean rate, s: dt, or more where a gap
-    ends.
+    """Return the time since the sample with which this one gives the mean rate, s.
+
+    It is dt, or more where a gap ends.
 
     Where a gap ends, ``now.bridged_s`` is set to its length, else to 0. The sample of a saturated gyroscope
     bridges no gap.
@@ -180,8 +179,7 @@ def _rate_square(segment: Segment, tuning: Tuning) -> float:
 
 @compiled
 def coasted_square(segment: Segment, tuning: Tuning, seconds: float) -> float:
-    """Return V of (6), rad²: the variance of a segment's turn, about the predicted one, after ``seconds``
-    of silence."""
+    """Return V of (6), rad²: how far a segment is from the predicted turn after ``seconds`` of silence."""
     memory_s = tuning.longest_coast_s
     t = seconds / memory_s
     faded = math.exp(-t)
@@ -190,8 +188,7 @@ def coasted_square(segment: Segment, tuning: Tuning, seconds: float) -> float:
 
 @compiled
 def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
-    """Set ``now.mean_rate`` of a silent module, equation (6); return the density of its noise,
-    (rad/s)²/Hz."""
+    """Set ``now.mean_rate`` of a silent module, (6); return its noise, (rad/s)²/Hz."""
     w, gap = now.mean_rate, segment.gap
     if gap.seconds == 0.0:
         # the rate below fades: what bridges the gap needs that of the last sample
@@ -211,8 +208,9 @@ def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> flo
 
 @compiled
 def _mean_rate(segment: Segment, now: SegmentWork, dt: float) -> None:
-    """Set ``now.mean_rate``, rad/s, that turns the segment over dt (s), equation (2); error O(dt³) of the
-    angle.
+    """Set ``now.mean_rate``, rad/s, that turns the segment over dt (s), equation (2).
+
+    The angle's error is O(dt³).
 
     It is the trapezoid, less its error by Euler and Maclaurin's formula from the last three rates, plus the
     coning of an axis that moves (Bortz 1971). At 100 Hz the trapezoid alone is off by up to a degree in fast
@@ -251,8 +249,10 @@ def propagate(P: FloatArray, R: FloatArray, R_other: FloatArray, dt: float) -> N
 
 @compiled
 def propagate_own(P: FloatArray, R: FloatArray, dt: float) -> None:
-    """Propagate a segment's own covariance in place, equation (4). P (6, 6) stays symmetric to the last
-    bit."""
+    """Propagate a segment's own covariance in place, equation (4).
+
+    P (6, 6) stays symmetric to the last bit.
+    """
     for i in range(2, -1, -1):
         x, y, z = dt * R[i, 0], dt * R[i, 1], dt * R[i, 2]
         for j in range(i + 1):  # rows up to this one are as they were
@@ -324,8 +324,10 @@ FIRST_SAMPLE_S = 1e-9
 
 @compiled
 def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Set ``K`` and ``motion`` of each segment whose specific force counts; update the averages in place.
-    Section 4."""
+    """Set ``K`` and ``motion`` of each segment whose specific force counts, section 4.
+
+    The averages are updated in place.
+    """
     gain = 1.0 - math.exp(-dt / tuning.smoothing_s)
     long_gain = 1.0 - math.exp(-dt / tuning.unaided_window_s)
     segments, works = state.segments, work.segments
@@ -355,15 +357,16 @@ def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
 
 @compiled
 def is_short_gap(segment: Segment, now: SegmentWork, tuning: Tuning) -> bool:
-    """Return whether a module that is silent now has been so for such a short time that its averages are
-    bridged."""
+    """Return whether a module is silent, but so briefly that its averages are bridged."""
     return bool(now.validity == NOTHING and 0.0 < segment.gap.seconds <= tuning.longest_bridge_s)
 
 
 @compiled
 def _turn_into_world(segment: Segment, now: SegmentWork, shared: SharedWork) -> None:
-    """Set f, R f and W of a segment in ``shared``, without the known constant errors of its sensors;
-    equation (7)."""
+    """Set f, R f and W of a segment in ``shared``, equation (7).
+
+    The known constant errors of its sensors are taken off.
+    """
     R, f, f_w, W = segment.R, shared.force, shared.force_world, shared.lever_arm_matrix
     x, y, z = (
         now.angular_rate[0] - segment.bias[0],
@@ -429,8 +432,9 @@ def _average_lever_arm_matrix(
 def _bridge_averages(
     segment: Segment, now: SegmentWork, shared: SharedWork, tuning: Tuning, dt: float
 ) -> None:
-    """Apply (8) to (11) to the sample that ends a gap: both sides went evenly from the sample before it to
-    this one.
+    """Apply (8) to (11) to the sample that ends a gap.
+
+    Both sides are taken to have gone evenly from the sample before the gap to this one.
 
     (9) holds for equal steps only. After a longer one K itself is carried on, and W̄ is set to what (9)
     expects of it at the next step of dt (s).
@@ -500,8 +504,7 @@ FOURTH_DIFFERENCE_GAIN = 70.0
 
 @compiled
 def watch_vibration(seen: Vibration, f: FloatArray, is_fresh: bool, tuning: Tuning, dt: float) -> None:
-    """Update ``seen.square``, the mean square of a component of vibration, (m/s²)², by one specific force;
-    equation (12).
+    """Update ``seen.square``, mean square vibration of a component, (m/s²)², equation (12).
 
     f: (3,) own axes, m/s². is_fresh: no sample has come just before this one.
     """
@@ -536,8 +539,10 @@ def watch_vibration(seen: Vibration, f: FloatArray, is_fresh: bool, tuning: Tuni
 
 @compiled
 def note_corrections(state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Pass tilt corrections on to ``note_correction``, of segments whose chain is aided and whose heading
-    is observed."""
+    """Pass corrections of tilts to ``note_correction``.
+
+    Only segments count whose chain is aided and whose heading is observed.
+    """
     segments, works = state.segments, work.segments
     for s in range(len(works)):
         segment, now = segments[s], works[s]
@@ -586,6 +591,5 @@ def gyroscope_inflation(segment: Segment, square: float, dt: float) -> float:
 
 @compiled
 def row_inflation(child: Segment, parent: Segment, tuning: Tuning) -> float:
-    """Return 1 + 2 max(χ_s, χ_p) of (20), the factor on the variance of the row of the joint between the
-    two."""
+    """Return 1 + 2 max(χ_s, χ_p) of (20), the factor on the variance of a joint's row."""
     return float(1.0 + tuning.row_inflation * max(child.corrections.rows, parent.corrections.rows))

@@ -103,7 +103,7 @@ class ChainReconstructor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all state; the parameters stay."""
+        """Forget everything but the parameters."""
         self._use(initial_state(self._n, len(self._devices)))
         self._root_motion.reset()
         self._place.reset()
@@ -190,8 +190,9 @@ class ChainReconstructor:
         """(1,) ns; of a record each attribute takes a microsecond."""
 
     def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
-        """Return the pose of one instant. Raises nothing: what is not defined is NaN, and ``status`` says
-        why.
+        """Return the pose of one instant.
+
+        Raises nothing: what is not defined is NaN, and ``status`` says why.
 
         stood_s: (n_segments,) s for how long each has stood still, 0: not; see ``contacts``.
         """
@@ -219,8 +220,9 @@ class ChainReconstructor:
         stood_s: FloatArray | None = None,
         covariance: FloatArray | None = None,
     ) -> list[SkeletonFrame]:
-        """Return the poses of instants in time order: the same as by ``update`` of each, bit for bit, but
-        faster.
+        """Return the poses of instants in time order.
+
+        They are the same as by ``update`` of each, bit for bit, but found faster.
 
         stood_s: (T, n_segments) as there. covariance: (T, n_segments, 2, 3, 3) is filled with that of the
         orientation errors, world axes, rad²: the estimate's own, and the one that ``sigma`` is made of.
@@ -251,8 +253,7 @@ class ChainReconstructor:
         )
 
     def _inputs_of_one(self, observation: ImuFrame) -> Inputs:
-        """Return the kernel's inputs of one frame, in arrays made once, where the frame has no more than they
-        hold.
+        """Return the kernel's inputs of one frame, in arrays made once where they are large enough.
 
         Live, making arrays takes longer than the filter of some segments.
         """

@@ -156,8 +156,9 @@ def _counts(segment: Segment, now: SegmentWork, tuning: Tuning) -> bool:
 
 @compiled
 def _joint_row(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> bool:
-    """Add the row of one joint; return whether the child's heading has just been shown, in which case no row
-    is added.
+    """Add the row of one joint; return whether the child's heading has just been shown.
+
+    If it has, no row is added.
 
     Changes ``U`` of the child where it corrects lever arms.
     """
@@ -229,8 +230,10 @@ def _see_joint(joint: Joint, tuning: Tuning, dt: float) -> None:
 
 @compiled
 def _heading_variance(joint: Joint, tuning: Tuning, dt: float) -> float:
-    """Return the heading's part of (21), (m/s²)²: a linearised row leaves ``½ ψ² u`` out of a relative
-    heading ψ."""
+    """Return the heading's part of (21), (m/s²)².
+
+    It is the mean square of ``½ ψ² u``, which a linearised row leaves out of a relative heading ψ.
+    """
     _, child, parent, now, _ = joint
     apart = child.P[2, 2] + parent.P[2, 2] - 2.0 * child.C[2, 2]
     square = 0.5 * (_horizontal_square(now.u) + _horizontal_square(now.u_parent))
@@ -239,8 +242,10 @@ def _heading_variance(joint: Joint, tuning: Tuning, dt: float) -> float:
 
 @compiled
 def _learn_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> None:
-    """Learn the joint's lever arms when they are due, and add their uncertainty to its row; equations (20)
-    and (46)."""
+    """Learn the joint's lever arms when they are due; add their uncertainty to its row.
+
+    Equations (20) and (46).
+    """
     child, now = joint.child, joint.now
     if is_due(child, tuning, dt):
         learning.at_once = now.row_variance * dt / tuning.row_memory_s
@@ -254,8 +259,7 @@ def _learn_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> 
 
 @compiled
 def joint_row(joint: Joint, is_unobserved: bool, tuning: Tuning, dt: float) -> None:
-    """Add the row that ``u`` and ``u_parent``, the joint's acceleration from both sides, agree; (13), (17)
-    and (22).
+    """Add the row that ``u`` and ``u_parent`` of a joint agree, equations (13), (17) and (22).
 
     Its variance is ``row_variance``, raised by the joint's NIS and where it is an outlier. A joint that does
     not fit adds none. dt: time between rows, s. is_unobserved: the heading of one segment against the other
@@ -285,8 +289,10 @@ def joint_row(joint: Joint, is_unobserved: bool, tuning: Tuning, dt: float) -> N
 
 @compiled
 def _unobserved_joint_row(now: SegmentWork, residual: Three, variance: float) -> None:
-    """Add the row (13) where the heading against the parent is unknown: horizontal parts need only be
-    equally long."""
+    """Add the row (13) where the heading against the parent is unknown.
+
+    Of the horizontal parts only the lengths count.
+    """
     u, u_p = now.u, now.u_parent
     H, H_p = skew(u), skew(u_p)
     wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
@@ -313,8 +319,7 @@ def _nis(uncertain: Three, residual: Three, variance: float, first: int) -> floa
 
 @compiled
 def _watch_joint(child: Segment, nis: float, tuning: Tuning, dt: float) -> float:
-    """Update N_s of (22) by one NIS; return max(1, N_s), the factor of (20) on the variance of the joint's
-    row.
+    """Update N_s of (22) by one NIS; return max(1, N_s) of (20).
 
     Modules that are worn otherwise than the rig says disagree all the time. When N_s reaches ``loose_nis``,
     what the joint has shown is taken back: the segment becomes as uncertain as at its start, and relies on
@@ -350,8 +355,9 @@ def zero_rate_rows(state: State, tuning: Tuning, work: Work, dt: float) -> None:
 
 @compiled
 def watch_zero_rate(watch: ZeroRateWatch, now: SegmentWork, tuning: Tuning, gain: float, dt: float) -> bool:
-    """Return whether a segment has not turned for a while; ``watch.rate`` then is the gyroscope's bias,
-    rad/s.
+    """Return whether a segment has not turned for a while.
+
+    ``watch.rate`` then is the gyroscope's bias, rad/s.
 
     gain: of a low-pass of ``zero_rate_window_s`` over dt (s).
     """
@@ -392,8 +398,9 @@ def zero_rate_row(now: SegmentWork, segment: Segment, tuning: Tuning, dt: float)
 
 @compiled
 def note_rolling(state: State, work: Work, dt: float) -> None:
-    """Set ``rolling``, ‖ω̇‖ + ‖ω‖² of (38), rad/s², of segments that are taken to stand, by this rate and the
-    last one.
+    """Set ``rolling``, ‖ω̇‖ + ‖ω‖² of (38), rad/s², of segments that are taken to stand.
+
+    It is found from this rate and the last one.
 
     Called before the prediction, which overwrites the last rate. A foot that begins to roll off shows here at
     once; its acceleration always points ahead, and would tilt whoever walks straight on.

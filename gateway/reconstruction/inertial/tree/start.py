@@ -44,8 +44,10 @@ FORCE, NOTHING = Validity.FORCE.value, Validity.NOTHING.value
 
 @compiled
 def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None:
-    """Start segments at their first sample of specific force, section 14; until then their samples do not
-    count."""
+    """Start segments at their first sample of specific force, section 14.
+
+    Until then their samples do not count.
+    """
     links, segments, works = body.segments, state.segments, work.segments
     for s in range(len(links)):
         segment, now = segments[s], works[s]
@@ -58,8 +60,9 @@ def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None
 
 @compiled
 def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning: Tuning) -> None:
-    """Start a segment from its first sample, equations (62) to (65): level by the specific force, facing as
-    the field says.
+    """Start a segment from its first sample, equations (62) to (65).
+
+    It is level by the specific force and faces as the field says.
 
     Without a usable field the heading is arbitrary. If the two directions define no orientation the segment
     does not start.
@@ -99,8 +102,10 @@ def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning:
 
 @compiled
 def _start_covariance(segment: Segment, tilt: float, tuning: Tuning) -> None:
-    """Set P and C of a segment and the covariance of its lever arms to those of a start, equation (63).
-    tilt: variance, rad²."""
+    """Set P and C of a segment, and its lever arms' covariance, to those of a start, (63).
+
+    tilt: variance, rad².
+    """
     arms = segment.arms
     for i in range(6):
         for j in range(6):
@@ -159,8 +164,9 @@ GRAVITY = 9.81
 
 @compiled
 def tilt_spread(segment: Segment, tuning: Tuning, interval_s: float) -> float:
-    """Return the last term of (54)'s denominator, (m/s²)²: what an uncertain tilt adds to the variance of a
-    horizontal part.
+    """Return the last term of (54)'s denominator, (m/s²)².
+
+    It is what an uncertain tilt adds to the variance of a row's horizontal part.
 
     A tilt error stays for ``tilt_memory_s``, so rows every ``interval_s`` do not average it out. At the start
     it is all there is: two segments at rest that are tilted alike would otherwise seem to show their
@@ -188,8 +194,9 @@ def second_order_variance(segment: Segment, u: FloatArray, tuning: Tuning, inter
 def gather_heading(
     sums: HeadingSums, u: FloatArray, y: FloatArray, variance: float, tuning: Tuning, interval_s: float
 ) -> None:
-    """Add one pair of vectors to the sums of (54): u (3,) of the segment, y (3,) what it must agree with,
-    world.
+    """Add one pair of vectors to the sums of (54).
+
+    u: (3,) of the segment, y: (3,) what it must agree with; world.
 
     variance: of the pair's components, (m/s²)². interval_s: time since the pair before.
     """
@@ -206,15 +213,13 @@ def gather_heading(
 
 @compiled
 def shown_heading(sums: HeadingSums, tuning: Tuning) -> tuple[float, float]:
-    """Return variance (rad²) and angle (rad) of a heading that motion has shown, equation (55); variance
-    0: not yet."""
+    """Return variance (rad²) and angle (rad) of a heading that motion has shown, (55); 0: not yet."""
     return _shown(sums.along, sums.across, sums.length, sums.seconds, tuning)
 
 
 @compiled
 def shown_between(segment: Segment, parent: Segment, tuning: Tuning) -> tuple[float, float]:
-    """Return variance (rad²) and angle (rad) of a segment's heading against its parent, (55) and (56);
-    variance 0: not yet.
+    """Return variance (rad²) and angle (rad) of a heading against the parent, (55), (56); 0: not yet.
 
     Where both have seen the field, their compasses count beside the motion.
     """
@@ -232,8 +237,7 @@ def shown_between(segment: Segment, parent: Segment, tuning: Tuning) -> tuple[fl
 
 @compiled
 def _shown(along: float, across: float, length: float, seconds: float, tuning: Tuning) -> tuple[float, float]:
-    """Return variance (rad²) and angle (rad) of the heading by the sums of (54), equation (55); variance
-    0: not yet."""
+    """Return variance (rad²) and angle (rad) of the heading by the sums of (54), (55); 0: not yet."""
     concentration = math.hypot(along, across)
     if seconds < tuning.heading_time_s or concentration < tuning.heading_evidence:
         return 0.0, 0.0
@@ -244,8 +248,10 @@ def _shown(along: float, across: float, length: float, seconds: float, tuning: T
 
 @compiled
 def is_apart(segment: Segment, parent: Segment, has_parent: bool, tuning: Tuning) -> bool:
-    """Return whether the heading of a segment against its parent, of a root in the world, is lost,
-    equation (57)."""
+    """Return whether the heading of a segment is lost, equation (57).
+
+    Against its parent, if it has one, else in the world.
+    """
     variance = segment.P[2, 2]
     if has_parent:
         variance += parent.P[2, 2] - 2.0 * segment.C[2, 2]
@@ -263,8 +269,9 @@ def _is_left_behind(segment: Segment, parent: Segment, above: Link, tuning: Tuni
 
 @compiled
 def lose_headings(links: Records[Link], segments: Records[Segment], tuning: Tuning) -> None:
-    """Mark headings as unobserved again that the filter itself no longer knows, as after a saturated
-    gyroscope.
+    """Mark headings as unobserved that the filter itself no longer knows, (57).
+
+    So it is after a gyroscope was saturated.
 
     A linearised filter would not find them back; the next motion shows them, in closed form.
     """
@@ -315,8 +322,10 @@ def take_back_heading(body: Body, state: State, tuning: Tuning, work: Work, s: i
 
 @compiled
 def turn_heading_sums(sums: HeadingSums, angle: float) -> None:
-    """Turn the evidence as its segment was turned, by ``angle`` (rad) about the vertical; for its parent's
-    turn, by −angle."""
+    """Turn the evidence as its segment was turned, by ``angle`` (rad) about the vertical.
+
+    For a turn of its parent the angle is negative.
+    """
     if angle == 0.0:
         return
     cosine, sine = math.cos(angle), math.sin(angle)
@@ -335,8 +344,7 @@ def give_of(segment: Segment, tuning: Tuning) -> float:
 
 @compiled
 def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, angle: float) -> None:
-    """Turn segment s and all beyond it against all before it, so that their headings differ by ``angle``
-    (rad) more.
+    """Turn segment s and all beyond it against all before it, by ``angle`` (rad).
 
     Each side turns by its share of what both give way. The stiffest segment of a side stands for it: a
     segment that comes back amid a body does not turn the body. The side beyond ends where a segment has kept
@@ -364,8 +372,10 @@ def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, an
 
 @compiled
 def _mark_sides(body: Body, state: State, tuning: Tuning, work: Work, s: int, root: int) -> None:
-    """Set ``is_beyond`` and ``is_before`` of the tree of ``root``: whether a segment turns with s, or with
-    the parent of s."""
+    """Set ``is_beyond`` and ``is_before`` in the tree of ``root``.
+
+    They are the segments that turn with s, and with the parent of s.
+    """
     links, segments, works = body.segments, state.segments, work.segments
     for c in range(root, len(links)):
         now, p = works[c], links[c].parent

@@ -21,7 +21,7 @@ N_READINGS = 12
 PHASES = 3
 """Of joints that are asked about their lever arms."""
 N_HISTORY = 96
-"""Frames remembered of the segment that carries a local device."""
+"""Frames kept of the segment that carries a local device."""
 
 
 class Started(IntEnum):
@@ -301,9 +301,7 @@ class SegmentWork(Record):
     stood_s: float  # for how long it has not accelerated, 0: it does
     mean_rate: Vector  # that turns it from the frame before to this one, rad/s
     before: Matrix  # orientation of the frame before
-    bridged_s: (
-        float  # length of the gap that this sample ends, where both its ends tell how it turned; 0: none
-    )
+    bridged_s: float  # length of the gap that this sample ends and that can be bridged; 0: none
     bridge: Vector  # how it has turned since the last sample before that, segment axes, rad
     K: Matrix  # filtered lever-arm matrix, 1/s², world
     motion: float  # ‖[ω̇, ω]‖, 1/s²
@@ -439,8 +437,11 @@ def work_space(n: int) -> Work:
 def chain_body(
     suit: WornSuit, uses_field: bool, is_tree: bool = True, constants: Tuning | None = None
 ) -> Body:
-    """Return the suit as the filter sees it. Devices on segments without a module are left out: no
-    acceleration is measured there to compare theirs with."""
+    """Return the suit as the filter sees it.
+
+    Devices on segments without a module are left out: no acceleration is measured there to compare theirs
+    with.
+    """
     skeleton = suit.skeleton
     has_module = suit.module_of_segment >= 0
     bridges = bridges_of(suit, constants or tuning())
@@ -487,8 +488,10 @@ class Bridges(NamedTuple):
 
 
 def bridges_of(suit: WornSuit, tuning: Tuning) -> Bridges:
-    """Return the bridges over segments without a module, by segment. A segment without a module is in no
-    chain."""
+    """Return the bridges over segments without a module, by segment.
+
+    A segment without a module is in no chain.
+    """
     skeleton, n = suit.skeleton, suit.skeleton.n_segments
     rules = {rule.segment: rule for rule in skeleton.interpolations}
     parents, is_bridged = np.full(n, -1, np.int64), np.zeros(n, np.int64)
@@ -511,8 +514,7 @@ def bridges_of(suit: WornSuit, tuning: Tuning) -> Bridges:
 
 
 def _without_module(suit: WornSuit, s: int) -> list[int]:
-    """Return the segments between s and the nearest one towards the root that has a module, from s towards
-    the root."""
+    """Return the segments between s and the nearest with a module, from s towards the root."""
     between, p = [], int(suit.skeleton.parents[s])
     while p >= 0 and suit.module_of_segment[p] < 0:
         between.append(p)
@@ -521,6 +523,8 @@ def _without_module(suit: WornSuit, s: int) -> list[int]:
 
 
 def _share(rule: Interpolation | None, a: int, s: int) -> float:
-    """Return the share of the bend from a to s by which a segment between them turns; 0, as a does, if no
-    rule says so."""
+    """Return the share of the bend from a to s by which a segment between them turns.
+
+    Without a rule for these two it is 0: the segment turns as a does.
+    """
     return rule.fraction if rule is not None and (rule.first, rule.second) == (a, s) else 0.0

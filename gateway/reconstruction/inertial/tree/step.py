@@ -480,8 +480,10 @@ def publish_covariances(body: Body, state: State, tuning: Tuning, work: Work) ->
 
 @compiled
 def _place(p_w: FloatArray, wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) -> None:
-    """Fill p_w (n, 3), m, with the proximal joints, from the device that measures a position, else from
-    the origin."""
+    """Fill p_w (n, 3), m, with the proximal joints.
+
+    The device that measures a position places them; without one the root is at the origin.
+    """
     carrier, shift = wearing.root_device[0], np.zeros(3)
     joint_positions_into(p_w, wearing.parents, wearing.offsets, q_wb, shift)
     if carrier >= 0:
@@ -495,8 +497,10 @@ def _place(p_w: FloatArray, wearing: Wearing, q_wb: FloatArray, root_position: F
 
 @compiled
 def mark_unaided(body: Body, state: State, tuning: Tuning, work: Work, status: StatusArray) -> None:
-    """Set ``status`` (n,) to UNAIDED, in place, where it is better, in chains that have lost all their
-    local devices."""
+    """Mark segments of chains that have lost all their local devices.
+
+    ``status`` (n,) becomes UNAIDED, in place, where it is MEASURED or INTERPOLATED.
+    """
     links, works = body.segments, work.segments
     for s in range(len(links)):
         now, p = works[s], links[s].parent

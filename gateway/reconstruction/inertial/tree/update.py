@@ -101,8 +101,7 @@ def add_known(evidence: Evidence, m: Three, residual: Three, variance: float) ->
 
 @compiled
 def update_tree(links: Records[Link], segments: Records[Segment], work: Work) -> None:
-    """Find the errors ``x`` of all segments at once and update their P and C in place, equations (47) to
-    (51).
+    """Find the errors ``x`` of all segments and update P and C in place, equations (47) to (51).
 
     The evidence is used up. Parents stand before their children; several segments may have no parent.
     """
@@ -202,8 +201,9 @@ def _add_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
 
 @compiled
 def update_outward(links: Records[Link], segments: Records[Segment], work: Work) -> None:
-    """Find the errors ``x`` segment by segment, each parent taken as found, equations (52) and (53). P
-    changes in place.
+    """Find the errors ``x`` segment by segment, each parent taken as found, (52) and (53).
+
+    P changes in place.
 
     The parent's orientation error is known to ``P_p``: integrated out of the edge's evidence it leaves the
     information ``cc − cp (P_p⁻¹ + pp)⁻¹ cpᵀ`` about the child. The evidence then concerns the orientation,
@@ -223,8 +223,7 @@ def update_outward(links: Records[Link], segments: Records[Segment], work: Work)
 
 @compiled
 def _integrate_parent_out(parent: Segment, now: SegmentWork, above: SegmentWork, shared: SharedWork) -> None:
-    """Add the edge's evidence about a segment to the segment's own, its parent integrated out; (52) and
-    (53)."""
+    """Add the edge's evidence, its parent integrated out, to the segment's own; (52), (53)."""
     evidence, x, gain, known = now.evidence, above.x, shared.B, shared.A
     pp, cp, vector = evidence.pp, evidence.cp, evidence.own_vector
     # (P_p⁻¹ + Λ_pp)⁻¹
@@ -344,13 +343,17 @@ def times_vector_into(y: FloatArray, A: FloatArray, x: FloatArray) -> None:
 
 
 def _inverse_of(n: int) -> Callable[[FloatArray, FloatArray], None]:
-    """Return a kernel that inverts blocks (n, n). Loops of a length that the compiler knows are twice as
-    fast."""
+    """Return a kernel that inverts blocks (n, n).
+
+    Loops of a length that the compiler knows are twice as fast.
+    """
 
     @compiled
     def into(M: FloatArray, A: FloatArray) -> None:
-        """Fill M with A⁻¹, by Cholesky. Below its diagonal M holds L (diagonal inverted), then L⁻¹, then
-        L⁻ᵀ L⁻¹."""
+        """Fill M with A⁻¹, by Cholesky.
+
+        Below its diagonal M holds L (diagonal inverted), then L⁻¹, then L⁻ᵀ L⁻¹.
+        """
         for i in range(n):
             for j in range(i + 1):
                 total = A[i, j]
