@@ -275,10 +275,8 @@ def pairs_of(sides: Records[Side], pairs: Records[Products]) -> FloatArray:
 def joint_scores(joints: Joints, state: AgreementState) -> FloatArray:
     """Return, (n,), how badly each segment and its parent agree about their joint.
 
-    It is their rms difference over the rms acceleration of both.
-
-    0 when they agree, about 1 when they have nothing to do with each other. NaN where there is no joint, or
-    not enough motion.
+    It is their rms difference over the rms acceleration of both. 0 when they agree, about 1 when they have
+    nothing to do with each other. NaN where there is no joint, or not enough motion.
     """
     difference, _, power, _ = pairs_of(joints.sides, state.pairs).T
     moved = power > LEAST_ACCELERATION**2

@@ -334,9 +334,7 @@ def _gains(
 ) -> FloatArray:
     """Return by how many nepers arrangements lower the disagreements of joints, (H,).
 
-    The joints are those of segments s and o.
-
-    other: with one turn (n, 3, 3), or H of them (H, n, 3, 3).
+    The joints are those of segments s and o. other: with one turn (n, 3, 3), or H of them (H, n, 3, 3).
     """
     concerned = _concerned(joints, asked, s, o)
     after = _differences(joints, agreement, other, concerned)

@@ -62,11 +62,9 @@ class Resets:
     def reset(self, kind: str, facing: float = 0.0) -> dict[str, object]:
         """Begin a reset, which takes effect with the next frame.
 
-        Returns what is turned, in degrees, and moved, in m.
-
-        facing: heading of the root afterwards, rad from east. Raises ``GatewayError`` for an unknown kind,
-        before the first pose, where the root leans too far to have a heading, and where its position is
-        unknown.
+        Returns what is turned, in degrees, and moved, in m. facing: heading of the root afterwards, rad from
+        east. Raises ``GatewayError`` for an unknown kind, before the first pose, where the root leans too far
+        to have a heading, and where its position is unknown.
         """
         if kind not in KINDS:
             raise GatewayError(f"there is no reset '{kind}'{nearest(kind, KINDS)}")

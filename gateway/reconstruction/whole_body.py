@@ -271,9 +271,7 @@ class WholeBodyReconstructor:
     def joint_agreement(self) -> dict[str, float]:
         """Return by segment how its module and its best neighbour agree about their joint.
 
-        0: fully, about 1: not at all.
-
-        Only segments that the motion of the last seconds is enough for.
+        0: fully, about 1: not at all. Only segments that the motion of the last seconds is enough for.
         """
         scores = segment_scores(self._joints, joint_scores(self._joints, self._memory.agreement))
         names = self._suit.skeleton.segment_names

@@ -384,10 +384,8 @@ def _begin(walk: Walk, body: Position, r: FloatArray, to_root: FloatArray) -> bo
 def _predict(body: Position, acceleration: FloatArray, dt: float) -> None:
     """Predict position, velocity and acceleration error over dt (s).
 
-    The mean of the last two accelerations counts.
-
-    acceleration: (3,) of the reference module, world, m/s²; NaN: its module is silent, and the velocity
-    stays.
+    The mean of the last two accelerations counts. acceleration: (3,) of the reference module, world, m/s²;
+    NaN: its module is silent, and the velocity stays.
     """
     noise = ACCELERATION_NOISE
     if is_finite(acceleration):
@@ -507,9 +505,8 @@ def _observe(body: Position, what: int, value: FloatArray, variance: float) -> N
 def _choose(walker: Walker, stood_s: FloatArray, dt: float) -> None:
     """Choose the segment that the body stands on.
 
-    It is the same as before while that rests, else the one that rests longest.
-
-    When none rests, the last one stays for ``PUSH_OFF_S``.
+    It is the same as before while that rests, else the one that rests longest. When none rests, the last one
+    stays for ``PUSH_OFF_S``.
     """
     body = walker.body
     body.aloft_s += dt

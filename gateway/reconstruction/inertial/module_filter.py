@@ -346,9 +346,9 @@ def after_gap(motion: MotionStatistics, s: int, gap_s: float, rate: FloatArray) 
 # Its gyroscope carries every sample since into one frame, that of the return; how this frame i stands in the
 # world does not change any more. Three things show it: the mean specific force there, which is gravity but
 # for the velocity gained meanwhile; the mean magnetic field, or its heading alone where its dip is not
-# known; and the orientation before the gap. Each counts by how uncertain it is, and the orientation that all of them together make
-# likeliest is the eigenvector of a symmetric 4 × 4 matrix (Davenport's q-method: Markley & Mortari,
-# J. Astronaut. Sci. 48, 2000; a prior rotation adds its own outer product).
+# known; and the orientation before the gap. Each counts by how uncertain it is, and the orientation that all
+# of them together make likeliest is the eigenvector of a symmetric 4 × 4 matrix (Davenport's q-method:
+# Markley & Mortari, J. Astronaut. Sci. 48, 2000; a prior rotation adds its own outer product).
 #
 # Unlike a filter that begins anew and corrects heading and inclination one after the other, no sample is ever
 # judged by what the inclination seemed to be when it came.
@@ -498,9 +498,8 @@ def _add_pair(matrix: FloatArray, weight: float, b: FloatArray, r: FloatArray) -
 def _dominant(matrix: FloatArray, bound: float) -> FloatArray:
     """Return the unit eigenvector of the largest eigenvalue of a symmetric (4, 4) matrix.
 
-    No eigenvalue may be below −bound.
-
-    The matrix, made positive, is squared again and again: its largest eigenvalue outgrows the others.
+    No eigenvalue may be below −bound. The matrix, made positive, is squared again and again: its largest
+    eigenvalue outgrows the others.
     """
     power = matrix + bound * np.eye(4)
     squared = np.empty((4, 4))

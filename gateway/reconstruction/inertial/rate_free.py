@@ -103,9 +103,8 @@ class RateFreeReconstructor:
     def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
         """Return the pose of one instant.
 
-        Raises nothing: what is not defined is NaN, and ``status`` says why.
-
-        stood_s: not used; rest is found here by force and field together.
+        Raises nothing: what is not defined is NaN, and ``status`` says why. stood_s: not used; rest is found
+        here by force and field together.
         """
         observed = self._observer.observe(observation)
         status = np.full(self._n, Status.MISSING, np.uint8)

@@ -249,11 +249,9 @@ def _compare(
 ) -> None:
     """Set ``expected``, ``apart`` and ``unwrapped`` of each segment for (32).
 
-    The sums of its compasses are reset.
-
-    ``expected`` and ``apart`` are mean (rad) and variance (rad²) of the heading's error less that of its
-    parent, of a root in the world, without compasses. ``unwrapped`` is the compass's angle within half a turn
-    of what the parent's lets expect.
+    The sums of its compasses are reset. ``expected`` and ``apart`` are mean (rad) and variance (rad²) of the
+    heading's error less that of its parent, of a root in the world, without compasses. ``unwrapped`` is the
+    compass's angle within half a turn of what the parent's lets expect.
     """
     started, has_compass, unknown = 0, False, tuning.unknown_heading**2
     for s in range(len(links)):

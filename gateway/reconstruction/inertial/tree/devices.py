@@ -346,9 +346,7 @@ def _average_own_side(
 ) -> bool:
     """Average u and turn of ``pair`` with the fit's kernel, and add up the arm's matrix, (25).
 
-    Returns whether that was possible.
-
-    It cannot where the frames do not reach back to the first reading, or have a gap longer than
+    Returns False where the frames do not reach back to the first reading, or have a gap longer than
     ``longest_gap_s``.
     """
     total = 0.0

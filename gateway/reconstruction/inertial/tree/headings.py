@@ -37,9 +37,8 @@ RATE = Validity.RATE.value
 def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
     """Return where the modules of each frame see the sun, (T, m + 1, 4).
 
-    A row is a direction in sensor axes and its standard deviation, rad.
-
-    The last row is the sun's direction in the world. (T, 0, 4) if none of the frames has it.
+    A row is a direction in sensor axes and its standard deviation, rad. The last row is the sun's direction
+    in the world. (T, 0, 4) if none of the frames has it.
     """
     if all(observation.sun is None for observation in observations):
         return np.zeros((len(observations), 0, 4))

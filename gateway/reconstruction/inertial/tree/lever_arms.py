@@ -135,9 +135,7 @@ def learn_device(
     """Correct ``device.shift`` and ``segment.force_bias`` by a moving point, equation (44).
 
     interval_s: time between its rows. Returns what the uncertainty of both adds to the row's variance,
-    (m/s²)².
-
-    The frames kept for the next fits are corrected by the accelerometer's error as well.
+    (m/s²)². The frames kept for the next fits are corrected by the accelerometer's error as well.
     """
     rows, pair = shared.learning.rows, shared.pair
     for i in range(3):
@@ -167,9 +165,8 @@ def _learn_point(
 ) -> float:
     """Correct shift and accelerometer by ``learning.rows``, equations (43) to (45).
 
-    Columns: the arm, the accelerometer's error.
-
-    Returns what their uncertainty adds to the row's variance, (m/s²)².
+    Columns: the arm, the accelerometer's error. Returns what their uncertainty adds to the row's variance,
+    (m/s²)².
     """
     learning, u, y = shared.learning, shared.pair.u, shared.pair.y
     change, averages = learning.change, segment.averages

@@ -130,10 +130,8 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
 def _end_gap(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
     """Return the time since the sample with which this one gives the mean rate, s.
 
-    It is dt, or more where a gap ends.
-
-    Where a gap ends, ``now.bridged_s`` is set to its length, else to 0. The sample of a saturated gyroscope
-    bridges no gap.
+    It is dt, or more where a gap ends. Where a gap ends, ``now.bridged_s`` is set to its length, else to 0.
+    The sample of a saturated gyroscope bridges no gap.
     """
     gap, now.bridged_s = segment.gap, 0.0
     if gap.seconds == 0.0:
@@ -210,11 +208,9 @@ def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> flo
 def _mean_rate(segment: Segment, now: SegmentWork, dt: float) -> None:
     """Set ``now.mean_rate``, rad/s, that turns the segment over dt (s), equation (2).
 
-    The angle's error is O(dt³).
-
-    It is the trapezoid, less its error by Euler and Maclaurin's formula from the last three rates, plus the
-    coning of an axis that moves (Bortz 1971). At 100 Hz the trapezoid alone is off by up to a degree in fast
-    motion.
+    The angle's error is O(dt³). It is the trapezoid, less its error by Euler and Maclaurin's formula from the
+    last three rates, plus the coning of an axis that moves (Bortz 1971). At 100 Hz the trapezoid alone is off
+    by up to a degree in fast motion.
     """
     w, rate, bias, last, slope = (
         now.mean_rate, now.angular_rate, segment.bias, segment.rate, segment.rate_slope
@@ -434,10 +430,9 @@ def _bridge_averages(
 ) -> None:
     """Apply (8) to (11) to the sample that ends a gap.
 
-    Both sides are taken to have gone evenly from the sample before the gap to this one.
-
-    (9) holds for equal steps only. After a longer one K itself is carried on, and W̄ is set to what (9)
-    expects of it at the next step of dt (s).
+    Both sides are taken to have gone evenly from the sample before the gap to this one. (9) holds for equal
+    steps only. After a longer one K itself is carried on, and W̄ is set to what (9) expects of it at the next
+    step of dt (s).
     """
     averages, W, last, lasted_s = segment.averages, shared.lever_arm_matrix, now.rotation, dt + now.bridged_s
     gain, long_gain = (

@@ -192,9 +192,8 @@ class ChainReconstructor:
     def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
         """Return the pose of one instant.
 
-        Raises nothing: what is not defined is NaN, and ``status`` says why.
-
-        stood_s: (n_segments,) s for how long each has stood still, 0: not; see ``contacts``.
+        Raises nothing: what is not defined is NaN, and ``status`` says why. stood_s: (n_segments,) s for how
+        long each has stood still, 0: not; see ``contacts``.
         """
         if self._used == _FRAMES_AT_ONCE:
             self._room, self._used = room_for(_FRAMES_AT_ONCE, self._n), 0
@@ -222,10 +221,9 @@ class ChainReconstructor:
     ) -> list[SkeletonFrame]:
         """Return the poses of instants in time order.
 
-        They are the same as by ``update`` of each, bit for bit, but found faster.
-
-        stood_s: (T, n_segments) as there. covariance: (T, n_segments, 2, 3, 3) is filled with that of the
-        orientation errors, world axes, rad²: the estimate's own, and the one that ``sigma`` is made of.
+        They are the same as by ``update`` of each, bit for bit, but found faster. stood_s: (T, n_segments) as
+        there. covariance: (T, n_segments, 2, 3, 3) is filled with that of the orientation errors, world axes,
+        rad²: the estimate's own, and the one that ``sigma`` is made of.
         """
         if not observations:
             return []

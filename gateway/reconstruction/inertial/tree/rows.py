@@ -158,9 +158,7 @@ def _counts(segment: Segment, now: SegmentWork, tuning: Tuning) -> bool:
 def _joint_row(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> bool:
     """Add the row of one joint; return whether the child's heading has just been shown.
 
-    If it has, no row is added.
-
-    Changes ``U`` of the child where it corrects lever arms.
+    If it has, no row is added. Changes ``U`` of the child where it corrects lever arms.
     """
     _, child, parent, now, above = joint
     _see_joint(joint, tuning, dt)
@@ -357,9 +355,8 @@ def zero_rate_rows(state: State, tuning: Tuning, work: Work, dt: float) -> None:
 def watch_zero_rate(watch: ZeroRateWatch, now: SegmentWork, tuning: Tuning, gain: float, dt: float) -> bool:
     """Return whether a segment has not turned for a while.
 
-    ``watch.rate`` then is the gyroscope's bias, rad/s.
-
-    gain: of a low-pass of ``zero_rate_window_s`` over dt (s).
+    ``watch.rate`` then is the gyroscope's bias, rad/s. gain: of a low-pass of ``zero_rate_window_s`` over dt
+    (s).
     """
     rate_change, force_change = 0.0, 0.0
     for i in range(3):
@@ -400,10 +397,9 @@ def zero_rate_row(now: SegmentWork, segment: Segment, tuning: Tuning, dt: float)
 def note_rolling(state: State, work: Work, dt: float) -> None:
     """Set ``rolling``, ‖ω̇‖ + ‖ω‖² of (38), rad/s², of segments that are taken to stand.
 
-    It is found from this rate and the last one.
-
-    Called before the prediction, which overwrites the last rate. A foot that begins to roll off shows here at
-    once; its acceleration always points ahead, and would tilt whoever walks straight on.
+    It is found from this rate and the last one. Called before the prediction, which overwrites the last rate.
+    A foot that begins to roll off shows here at once; its acceleration always points ahead, and would tilt
+    whoever walks straight on.
     """
     segments, works = state.segments, work.segments
     for s in range(len(segments)):
@@ -500,7 +496,7 @@ def unaided_row(
 ) -> None:
     """Add the row that the mean acceleration of an unaided segment is small, equation (39).
 
-    Its variance is no smaller than the mean acceleration that was seen while the tilt was known and, over a
+    A² is at least a share of the mean square acceleration that was seen while the tilt was known and, over a
     time shorter than the window, as much larger as speeds are the same. An error stays for the window.
     sharing: number of segments that move together and have such a row each.
     """

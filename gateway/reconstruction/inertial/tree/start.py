@@ -62,10 +62,8 @@ def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None
 def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning: Tuning) -> None:
     """Start a segment from its first sample, equations (62) to (65).
 
-    It is level by the specific force and faces as the field says.
-
-    Without a usable field the heading is arbitrary. If the two directions define no orientation the segment
-    does not start.
+    It is level by the specific force and faces as the field says. Without a usable field the heading is
+    arbitrary. If the two directions define no orientation the segment does not start.
     """
     f, w, m = now.specific_force, now.angular_rate, now.magnetic_field
     secondary, secondary_w = np.zeros(3), np.zeros(3)
@@ -166,11 +164,9 @@ GRAVITY = 9.81
 def tilt_spread(segment: Segment, tuning: Tuning, interval_s: float) -> float:
     """Return the last term of (54)'s denominator, (m/s²)².
 
-    It is what an uncertain tilt adds to the variance of a row's horizontal part.
-
-    A tilt error stays for ``tilt_memory_s``, so rows every ``interval_s`` do not average it out. At the start
-    it is all there is: two segments at rest that are tilted alike would otherwise seem to show their
-    headings.
+    It is what an uncertain tilt adds to the variance of a row's horizontal part. A tilt error stays for
+    ``tilt_memory_s``, so rows every ``interval_s`` do not average it out. At the start it is all there is:
+    two segments at rest that are tilted alike would otherwise seem to show their headings.
     """
     tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
     variance: float = GRAVITY**2 * tilt * max(1.0, tuning.tilt_memory_s / interval_s)
@@ -196,9 +192,8 @@ def gather_heading(
 ) -> None:
     """Add one pair of vectors to the sums of (54).
 
-    u: (3,) of the segment, y: (3,) what it must agree with; world.
-
-    variance: of the pair's components, (m/s²)². interval_s: time since the pair before.
+    u: (3,) of the segment, y: (3,) what it must agree with; world. variance: of the pair's components,
+    (m/s²)². interval_s: time since the pair before.
     """
     decay = math.exp(-interval_s / tuning.heading_forgets_s)
     # (54) κ e^{iψ_0}: real part …
@@ -271,9 +266,8 @@ def _is_left_behind(segment: Segment, parent: Segment, above: Link, tuning: Tuni
 def lose_headings(links: Records[Link], segments: Records[Segment], tuning: Tuning) -> None:
     """Mark headings as unobserved that the filter itself no longer knows, (57).
 
-    So it is after a gyroscope was saturated.
-
-    A linearised filter would not find them back; the next motion shows them, in closed form.
+    So it is after a gyroscope was saturated. A linearised filter would not find them back; the next motion
+    shows them, in closed form.
     """
     for s in range(len(links)):
         p, segment = links[s].parent, segments[s]

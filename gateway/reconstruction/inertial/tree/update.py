@@ -203,11 +203,9 @@ def _add_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
 def update_outward(links: Records[Link], segments: Records[Segment], work: Work) -> None:
     """Find the errors ``x`` segment by segment, each parent taken as found, (52) and (53).
 
-    P changes in place.
-
-    The parent's orientation error is known to ``P_p``: integrated out of the edge's evidence it leaves the
-    information ``cc − cp (P_p⁻¹ + pp)⁻¹ cpᵀ`` about the child. The evidence then concerns the orientation,
-    and at rest the bias: blocks of three of the six states.
+    P changes in place. The parent's orientation error is known to ``P_p``: integrated out of the edge's
+    evidence it leaves the information ``cc − cp (P_p⁻¹ + pp)⁻¹ cpᵀ`` about the child. The evidence then
+    concerns the orientation, and at rest the bias: blocks of three of the six states.
     """
     works, shared = work.segments, work.shared
     for s in range(len(links)):
