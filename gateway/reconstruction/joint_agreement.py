@@ -137,6 +137,8 @@ def _end_block(joints: Joints, state: AgreementState, q_wb: FloatArray, rate: Fl
     n, lasted_s = len(sides), block.lasted_s
     felt = np.empty((n, 3, 4))  # a, G
     across, swing = np.empty((3, 3)), np.empty(3)
+
+    # a and G of each segment over the block
     for s in range(n):
         segment = segments[s]
         if not segment.is_known:
@@ -149,6 +151,8 @@ def _end_block(joints: Joints, state: AgreementState, q_wb: FloatArray, rate: Fl
             for k in range(3):
                 felt[s, k, 1 + i] = (swing[k] - segment.swing[k, i]) / lasted_s
                 segment.swing[k, i] = swing[k]
+
+    # their products, of all pairs: any two modules may have changed places
     forget = math.exp(-lasted_s / MEMORY_S)
     for s in range(n):
         for o in range(s + 1):
@@ -157,6 +161,7 @@ def _end_block(joints: Joints, state: AgreementState, q_wb: FloatArray, rate: Fl
                 weight, both = lasted_s if is_whole else 0.0, state.pairs[s * n + o]
                 both.weight = forget * both.weight + weight
                 _add_products(both.sums, felt[s], felt[o], forget, weight)
+
     block.lasted_s = 0.0
     for s in range(n):
         segments[s].is_whole = segments[s].is_known

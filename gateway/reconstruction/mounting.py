@@ -282,6 +282,7 @@ def _search(
                     reach += largest[j]
             if reach < max(GAIN, gain):
                 continue
+
             turn_s, turn_o = turn[s].copy(), turn[o].copy()
             place[s], place[o] = place[o], place[s]
             for h in range(len(worn.turns) if s == o else 1):
@@ -297,6 +298,7 @@ def _search(
                         total += 0.0 if math.isnan(gained) else gained
                 if total > gain:
                     gain, first, second, best_turn = total, s, o, h
+
             place[s], place[o] = place[o], place[s]
             turn[s], turn[o] = turn_s, turn_o
     return gain, first, second, best_turn

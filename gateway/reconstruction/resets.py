@@ -71,6 +71,7 @@ class Resets:
         came, shown = self._came, self._shown
         if came is None or shown is None or not np.isfinite(shown.q_wb[shown.root]).all():
             raise GatewayError("there is no pose yet: wait until the suit is heard")
+
         now = self._at(came.time_ns)
         turn, mounting, shift = 0.0, self._to.mounting, self._to.shift - now.shift
         raw, fixed = came.p_w[came.root], shown.p_w[shown.root]
@@ -83,6 +84,8 @@ class Resets:
             heading = self._heading_of(shown.q_wb[shown.root])
             turn = 0.0 if kind == "mounting" else _wrapped(facing - heading)
             mounting = now.mounting if kind == "heading" else self._to_neutral(came, now, heading)
+
+        # the fade starts from what is shown now; a new anchor has the earlier shift in it
         if is_placed:
             self._anchor = raw.copy(), fixed.copy()
         to = now.heading if kind != "position" else self._to.heading
@@ -90,6 +93,7 @@ class Resets:
         self._to = _Correction(to + turn, mounting, shift)
         self._begun_ns = came.time_ns
         self.count += 1
+
         changed = [
             quaternion.angle_between(_exp(before), _exp(after))
             for before, after in zip(now.mounting, mounting, strict=True)

@@ -138,6 +138,7 @@ class Smoother:
         clean, seen, stood_s = prepared.observations, prepared.frames, prepared.stood_s
         covariance = np.empty((*stood_s.shape, 2, 3, 3))
         found = self._forward.poses(clean, seen, stood_s, covariance)
+
         readings = [(t, reading) for t, frame in enumerate(clean) for reading in frame.local]
         block = _Block(
             sequence=np.array([frame.sequence for frame in clean], np.int64),
@@ -157,6 +158,7 @@ class Smoother:
             **{name: getattr(found, name) for name in (*POSE_ARRAYS, "root")},
             covariance=covariance[:, :, 0].copy(),
         )
+
         self._end_ns = int(block.time_ns[-1])
         self._write(self._n_blocks, block)
         self._n_blocks += 1

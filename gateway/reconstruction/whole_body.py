@@ -298,9 +298,11 @@ class WholeBodyReconstructor:
                 f"check that module {module} is on the {_spoken(names[s])} and module {other} on the "
                 f"{_spoken(place)}, or exchange them with 'modules assign'"
             )
+
         near = [int(p) for p in (self._joints.sides[s].parent,) if p >= 0]
         near += [int(c) for c in np.flatnonzero(self._joints.sides["parent"] == s)]
         around = " and ".join(_spoken(names[k]) for k in near)
+
         degrees = math.degrees(math.acos(min(max((np.trace(mounting.turn[s]) - 1.0) / 2.0, -1.0), 1.0)))
         either = (
             ""

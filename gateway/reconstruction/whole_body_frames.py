@@ -225,8 +225,10 @@ def finish_frames(
             judged[0] += dt[t]
             if judged[0] >= JUDGED_EVERY_S:
                 return t
+
         tell_doubtful(status[t], sigma[t], is_doubtful)
         follow(rules, q_wb[t], rate[t], sigma[t], status[t])
+
         if len(walks) > 0:
             for s in range(len(finite_rate)):
                 for i in range(3):

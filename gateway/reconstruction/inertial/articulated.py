@@ -144,6 +144,7 @@ class ArticulatedReconstructor:
         if sun is not None:
             observation = with_sun_as_field(observation, sun)
             self._chain = self._chain._replace(field=np.array(sun.world, np.float64))
+
         observed = self._observer.observe(observation)
         self._root_motion.add(observation.local)
         self._start(observed, time_ns)
@@ -155,6 +156,7 @@ class ArticulatedReconstructor:
             self._settings.longest_gap_s,
             Instant(time_ns, self._root_motion.acceleration(time_ns), root_position, observed),
         )
+
         return SkeletonFrame(
             sequence=observation.sequence,
             time_ns=time_ns,

@@ -272,11 +272,14 @@ def advance_position(
     to_root = -quaternion.rotate(q_wb[ref], walk.arm) - _joint_of(walker, q_wb, ref)
     if not body.has_begun and not _begin(walk, body, r, to_root):
         return np.full(3, np.nan), -1
+
     acceleration = quaternion.rotate(q_wb[ref], force[ref]) + walk.gravity
     if body.aloft_s > LONGEST_FLIGHT_S:
         acceleration[:] = np.nan
         _halt(walk, body, r, dt)
     _predict(body, acceleration, dt)
+
+    # zero velocity of what stands; a contact that is lost is no longer held where it was
     n_held = 0
     for c in range(len(contacts)):
         stands_s = stood_s[walker.places[c].segment]
@@ -286,12 +289,15 @@ def advance_position(
         else:
             for i in range(3):
                 contacts[c].anchor[i] = np.nan
+
+    # contacts that are held together move towards where the filter has them
     if n_held > 1:
         for c in range(len(contacts)):
             anchor = contacts[c].anchor
             if is_finite(anchor):
                 gap = body.x[:, 0] + r[c] - anchor
                 anchor += gap * min(1.0, dt / RELAXATION_S)
+
     _choose(walker, stood_s, dt)
     return body.x[:, 0] + to_root, body.standing
 
@@ -309,6 +315,7 @@ def _relative_motion(walker: Walker, q_wb: FloatArray, rate: FloatArray) -> tupl
         if u >= 0:
             joint = Moving(p[u], v[u], turned)
             _carry(Moving(p[s], v[s], turned), joint, q_wb[u], rate[u], walker.offsets[s])
+
     ref, here, moves = walk.reference, np.empty(3), np.empty(3)
     joint = Moving(p[ref], v[ref], turned)
     _carry(Moving(here, moves, turned), joint, q_wb[ref], rate[ref], walk.arm)

@@ -101,6 +101,7 @@ class IndependentReconstructor:
             self._q_world = _facing(sun.world)
         status = self._step_filters(observation)
         observed = self._observer.observe(observation)
+
         dt = (observation.time_ns - self._time_ns) * 1e-9
         q_wb, acceleration, status = _body_pose(
             self._parents,
@@ -115,10 +116,12 @@ class IndependentReconstructor:
             self._lever_arms,
             self._gravity,
         )
+
         self._rate, self._time_ns = observed.angular_rate, observation.time_ns
         for segment, module in zip(self._observed, self._filters, strict=True):
             if status[segment] == HELD and module.is_silent(observation.time_ns):
                 status[segment] = PREDICTED
+
         return SkeletonFrame(
             sequence=observation.sequence,
             time_ns=observation.time_ns,
@@ -140,6 +143,7 @@ class IndependentReconstructor:
         clipped = clipped_of(observation)
         is_unaided = _beyond(f, RANGES.largest_force) | ((clipped & Clipped.SPECIFIC_FORCE) > 0)
         is_blind = _beyond(w, RANGES.largest_rate) | ((clipped & Clipped.ANGULAR_RATE) > 0)
+
         is_sound = [False] * len(status)
         told = (v.tolist() for v in (is_inertial, is_blind, is_unaided, has_field, observation.status))
         modules = zip(self._observed, self._rows, self._filters, strict=True)
@@ -158,6 +162,7 @@ class IndependentReconstructor:
             self._q_vqf[segment] = module.orientation
             self._has_field[segment] = module.has_field
             status[segment] = UNAIDED if unaided else came_as
+
         places, sound = self._places, np.array(is_sound)
         note(self._motion, *places, sound, self._q_vqf, f, w, x, self._g, self._interval_s)
         return status

@@ -403,9 +403,12 @@ def _take_window(finder: LagFinder, first: int, place_sigma: float, h: FloatArra
             m[i] += weights.value * seen.magnetic[i]
             m_slope[i] += weights.slope * seen.magnetic[i] / dt
             u[i] += weights.curvature * seen.place[i] / (dt * dt)
+
+    # the line f · m − (a − g) · h = −δ f · ṁ
     x, y = -dot(f, m_slope), dot(f, m) - dot(u, h)
     if not math.isfinite(x + y) or abs(dt - sums.interval_s) > 0.2 * sums.interval_s:
         return
+
     is_turning = abs(x) > TURNING * norm(f) * FIELD_NOISE * math.sqrt(slope_gain) / dt
     is_disturbed = abs(norm(m) - norm(h)) > FIELD_RANGE
     keep = math.exp(-dt / MEMORY_S)

@@ -198,20 +198,26 @@ def _predict(segment: Segment, shared: Shared, f: FloatArray, dt: float) -> None
     after = rotation_matrix.multiply(turn, R)
     force = 0.5 * (rotation_matrix.rotate(R, segment.before) + rotation_matrix.rotate(after, f))
     a = force + g
+
     is_blind = segment.off_norm > noise.norm_tolerance + 2.0
     keep = math.exp(-dt / (noise.blind_rate_memory_s if is_blind else noise.rate_memory_s))
     keep_spin, keep_field = math.exp(-dt / noise.spin_memory_s), math.exp(-dt / noise.disturbance_memory_s)
     F = _transition(turn, force, keep, keep_spin, keep_field, dt)
+
+    # the state, from the mean specific force over the step
     x[PLACE:ARM] += x[VELOCITY:PLACE] * dt + a * (0.5 * dt * dt)
     x[VELOCITY:PLACE] += a * dt
     x[RATE:SPIN] = (w + spin * dt) * keep
     x[SPIN:VELOCITY] = spin * keep_spin
     x[DISTURBANCE:N] *= keep_field
+
     segment.R[:] = after
     segment.before[:] = f
     segment.F[:] = F
     segment.x[:] = 0.0
     segment.n_rows = 0
+
+    # its covariance: a segment turns the livelier, the more its specific force varies
     liveliness = noise.spin + noise.spin_per_force * math.sqrt(segment.force_square)
     spin_sigma = min(noise.largest_spin, liveliness)
     segment.P[:] = product_transposed(product(F, segment.P), F)

@@ -270,6 +270,8 @@ def find_local_pair(
     if device.is_waiting == 0 or n < LEAST_READINGS or readings[n - 1].time_s > time_s:
         return False
     device.is_waiting = 0
+
+    # the last readings that lie within the span, but no fewer than a fit needs
     first = max(0, n - LEAST_READINGS)
     reach = 1.05 * device.fit_span_s
     while first > 0 and readings[n - 1].time_s - readings[first - 1].time_s < reach:
@@ -279,6 +281,7 @@ def find_local_pair(
         t[k] = readings[first + k].time_s
         for i in range(3):
             values[k, i] = readings[first + k].value[i]
+
     order = 2 if mount.kind == POSITION else 1
     if mount.kind == ACCELERATION:
         _sum_up(t, values)
@@ -288,6 +291,7 @@ def find_local_pair(
     rotation_matrix.turn(device.turn, pair.u)
     rotation_matrix.turn_columns(device.turn, pair.arm)
     rotation_matrix.turn_columns(device.turn, pair.turn)
+
     pair.variance, pair.span_s = 0.0, t[len(t) - 1] - t[0]
     for i in range(3):
         pair.y[i] = -world.gravity[i]

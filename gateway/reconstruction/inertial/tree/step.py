@@ -220,6 +220,7 @@ def _advance(
     n, taken = len(wearing.parents), 0
     for t in range(len(inputs.time_ns)):
         q_wb, p_w, status = outputs.q_wb[first + t], outputs.p_w[first + t], outputs.status[first + t]
+
         _observe(work, wearing, inputs, stood_s[t], t)
         dt = _tick(state.clock, inputs.time_ns[t], wearing.nominal_interval_ns[0])
         work.shared.time_s = (inputs.time_ns[t] - state.clock.first_ns) * 1e-9
@@ -230,6 +231,7 @@ def _advance(
             for s in range(n):
                 work.segments[s].validity = NOTHING
         taken = inputs.readings_end[t]
+
         _statuses(held, status)
         publish_covariances(body, state, tuning, work)
         _outputs(
@@ -237,6 +239,7 @@ def _advance(
             outputs.sigma[first + t],
         )  # fmt: skip
         mark_unaided(body, state, tuning, work, status)
+
         if len(covariance) > 0:
             for s in range(n):
                 _own_covariance(covariance[t, s, 0], state.segments[s], body.world)
@@ -405,6 +408,7 @@ def _outputs(
     turned = np.zeros(4)
     segments, works = held.state.segments, held.work.segments
     parents, module_of_segment = held.wearing.parents, held.wearing.module_of_segment
+
     for s in range(len(parents)):
         segment, now, p = segments[s], works[s], parents[s]
         error = segment.compass.error
@@ -413,9 +417,11 @@ def _outputs(
             acceleration[s, 0] = c * now.U[0] + d * now.U[1] + gravity[0]
             acceleration[s, 1] = c * now.U[1] - d * now.U[0] + gravity[1]
             acceleration[s, 2] = now.U[2] + gravity[2]
+
         if segment.started != NOT_STARTED:
             P = segment.published
             sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + P[2, 2]), unknown)
+
         if module_of_segment[s] < 0:
             if p >= 0:
                 for i in range(4):
