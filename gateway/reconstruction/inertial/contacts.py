@@ -392,7 +392,7 @@ def _predict(body: Position, acceleration: FloatArray, dt: float) -> None:
     """Predict position, velocity and acceleration error over dt (s).
 
     The mean of the last two accelerations counts. acceleration: (3,) of the reference module, world, m/s²;
-    NaN: its module is silent, and the velocity stays.
+    NaN: not known, and the velocity stays.
     """
     noise = ACCELERATION_NOISE
     if is_finite(acceleration):

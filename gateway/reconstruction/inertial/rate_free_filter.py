@@ -464,8 +464,8 @@ def at_joint(
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return orientation (4,), angular rate (3,), the joint's acceleration (3,) and sigma.
 
-    The rate is in segment axes, rad/s, the acceleration in the world, m/s². U (3,): joint to module, segment
-    axes, m.
+    The rate is in segment axes, rad/s, the acceleration in the world, m/s², sigma of the orientation, rad.
+    U (3,): joint to module, segment axes, m.
     """
     g = common[0].gravity
     state = segments[s]
