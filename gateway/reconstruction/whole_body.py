@@ -211,7 +211,7 @@ class WholeBodyReconstructor:
     def prepare(self, observations: Sequence[ImuFrame]) -> Prepared:
         """Return instants in time order, at least one, prepared for the finder.
 
-        Stuck modules are left out; the rest of each segment is found.
+        Stuck modules are left out, and it is found how long each segment has been standing still.
         """
         frames, n = stacked(observations), self._suit.skeleton.n_segments
         force, clipped, stood_s, dt = _room(len(observations), n)
