@@ -58,7 +58,7 @@ DELAYABLE = frozenset({"gyro_free"})
 """Those whose frames may come later and better: corrected by what was seen meanwhile."""
 
 DELAYS_IN_NAMES = {"gyro_free_delayed": 0.5, "gyro_free_delayed_100ms": 0.1, "gyro_free_delayed_200ms": 0.2}
-"""What ``gyro_free`` with a delay (s) was called before the delay became a setting: recordings tell it so."""
+"""Former names of ``gyro_free`` with a delay (s), which older recordings still have."""
 
 OPTICAL = "optical"
 """Of markers and no modules: ``optical.reconstructor``; it needs a suit with markers."""
@@ -83,7 +83,7 @@ CHAINS = frozenset({"joint", "outward"})
 
 
 def refuse_unreadable(name: str, suit: WornSuit) -> None:
-    """Raises ``SettingsError`` where the suit has a sensor that the reconstructor of that name cannot use."""
+    """Raise ``SettingsError`` where the suit has a sensor that the reconstructor of that name cannot use."""
     if suit.sun is not None:
         can = CHAINS if suit.sun.beside_magnetometer else SEES_SUN
         word = "both" if suit.sun.beside_magnetometer else "sun"

@@ -25,10 +25,11 @@ class FusedReconstructor:
     """
 
     def __init__(self, suit: WornSuit, nominal_interval_s: float, *, starts_neutral: bool = False) -> None:
-        """
-        nominal_interval_s: of the frames; not needed, they bear their times.
-        starts_neutral: every module's reference has a heading of its own, found from the first orientation of
-            the module, at which the wearer stands in the neutral posture. Otherwise all references face east.
+        """Create the reconstructor of a suit.
+
+        nominal_interval_s: of the frames; not needed, they bear their times. starts_neutral: every module's
+        reference has a heading of its own, found from the first orientation of the module, at which the
+        wearer stands in the neutral posture. Otherwise all references face east.
         """
         self._suit = suit
         self._starts_neutral = starts_neutral
@@ -49,7 +50,7 @@ class FusedReconstructor:
         self._time_ns = 0
 
     def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
-        """One instant."""
+        """Return the pose of one instant."""
         skeleton, rows = self._suit.skeleton, self._suit.module_of_segment
         n = skeleton.n_segments
         q_wb, status = np.full((n, 4), np.nan), np.full(n, Status.MISSING, np.uint8)
@@ -77,7 +78,7 @@ class FusedReconstructor:
         )
 
     def _oriented(self, segment: int, q_es: FloatArray) -> FloatArray:
-        """q_wb of a segment that carries a module."""
+        """Return q_wb of a segment that carries a module."""
         q_eb = quaternion.normalise(quaternion.multiply(quaternion.normalise(q_es), self._q_sb[segment]))
         q_we = self._q_we[segment]
         if q_we is None:
@@ -85,7 +86,7 @@ class FusedReconstructor:
         return quaternion.canonical(quaternion.multiply(q_we, q_eb))
 
     def _heading(self, q_eb: FloatArray) -> FloatArray:
-        """Rotation about the vertical that brings a segment nearest to the neutral posture."""
+        """Return the rotation about the vertical that brings a segment nearest to the neutral posture."""
         if not self._starts_neutral:
             return np.array([1.0, 0.0, 0.0, 0.0])
         difference = quaternion.multiply(self._suit.skeleton.neutral, quaternion.conjugate(q_eb))
@@ -93,7 +94,7 @@ class FusedReconstructor:
         return quaternion.from_rotation_vector(np.array([0.0, 0.0, angle]))
 
     def _angular_rate(self, now: FloatArray, dt: float) -> FloatArray:
-        """(n_segments, 3) rad/s, segment axes."""
+        """Return the angular rates (n_segments, 3), rad/s, segment axes."""
         rate = np.full((len(now), 3), np.nan)
         if dt > 0.0:
             for segment in np.flatnonzero(np.isfinite(now[:, 0]) & np.isfinite(self._before[:, 0])):

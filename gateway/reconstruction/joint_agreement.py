@@ -2,8 +2,8 @@
 
 Both neighbours feel the acceleration of their common joint: ``a + G r`` with ``a`` the mean of ``R f + g``
 over a block and ``G`` the change of ``R [ω]×`` over it, r from module to joint. It is linear in r, so sums
-of products of a and G over the last seconds tell how well any two modules would agree about any arms:
-those that the rig says, and those of a module that is turned or has changed places with another one
+of products of a and G over the last seconds show how well any two modules would agree about any arms:
+those of the rig, and those of a module that is turned or has changed places with another one
 (``mounting``). Nothing of the motion has to be kept for that.
 """
 
@@ -45,14 +45,14 @@ class Side(Record):
 
 
 class Joints(NamedTuple):
-    """Constant."""
+    """The joints between modules; constant."""
 
     sides: Records[Side]
     gravity: FloatArray  # (3,)
 
 
 class Felt(Record):
-    """Of a segment, in a block."""
+    """What a segment's module has measured in a block."""
 
     is_whole: int  # since the block began
     is_known: int  # at the frame before
@@ -62,7 +62,7 @@ class Felt(Record):
 
 
 class Products(Record):
-    """Of two segments' (a, G), summed over the last seconds."""
+    """Products of two segments' (a, G), summed over the last seconds."""
 
     sums: Annotated[FloatArray, 3, 4, 4]  # level, level across, upright
     weight: float  # s
@@ -75,7 +75,7 @@ class Block(Record):
 
 
 class AgreementState(NamedTuple):
-    """Changed in place."""
+    """The sums over the last seconds; changed in place."""
 
     block: Records[Block]  # one
     segments: Records[Felt]
@@ -83,7 +83,7 @@ class AgreementState(NamedTuple):
 
 
 def joints_of(suit: WornSuit) -> Joints:
-    """The joints between segments that both carry modules."""
+    """Return the joints between segments that both carry modules."""
     parents, arms = suit.skeleton.parents.astype(np.int64), np.asarray(suit.lever_arms, np.float64)
     has_module = suit.module_of_segment >= 0
     joined = (parents >= 0) & has_module & has_module[parents]
@@ -95,12 +95,12 @@ def joints_of(suit: WornSuit) -> Joints:
 
 
 def initial_agreement(n: int) -> AgreementState:
-    """Of n segments."""
+    """Return the state of n segments before the first frame."""
     return AgreementState(records(Block, 1), records(Felt, n), records(Products, n * n))
 
 
 class Pose(NamedTuple):
-    """Of one frame."""
+    """The pose of one frame."""
 
     q_wb: FloatArray  # (n, 4)
     force: FloatArray  # (n, 3) segment axes, m/s²; NaN where a module is silent
@@ -110,7 +110,7 @@ class Pose(NamedTuple):
 
 @compiled
 def watch_joints(joints: Joints, state: AgreementState, pose: Pose, dt: float) -> None:
-    """One frame, dt (s) after the one before."""
+    """Update the sums by one frame, dt (s) after the one before."""
     q_wb, force, rate, block = pose.q_wb, pose.force, pose.rate, state.block[0]
     for s in range(len(joints.sides)):
         if not joints.sides[s].is_worn:
@@ -137,6 +137,8 @@ def _end_block(joints: Joints, state: AgreementState, q_wb: FloatArray, rate: Fl
     n, lasted_s = len(sides), block.lasted_s
     felt = np.empty((n, 3, 4))  # a, G
     across, swing = np.empty((3, 3)), np.empty(3)
+
+    # a and G of each segment over the block
     for s in range(n):
         segment = segments[s]
         if not segment.is_known:
@@ -149,6 +151,8 @@ def _end_block(joints: Joints, state: AgreementState, q_wb: FloatArray, rate: Fl
             for k in range(3):
                 felt[s, k, 1 + i] = (swing[k] - segment.swing[k, i]) / lasted_s
                 segment.swing[k, i] = swing[k]
+
+    # their products, of all pairs: any two modules may have changed places
     forget = math.exp(-lasted_s / MEMORY_S)
     for s in range(n):
         for o in range(s + 1):
@@ -157,6 +161,7 @@ def _end_block(joints: Joints, state: AgreementState, q_wb: FloatArray, rate: Fl
                 weight, both = lasted_s if is_whole else 0.0, state.pairs[s * n + o]
                 both.weight = forget * both.weight + weight
                 _add_products(both.sums, felt[s], felt[o], forget, weight)
+
     block.lasted_s = 0.0
     for s in range(n):
         segments[s].is_whole = segments[s].is_known
@@ -166,7 +171,7 @@ def _end_block(joints: Joints, state: AgreementState, q_wb: FloatArray, rate: Fl
 
 @compiled
 def _columns_into(across: FloatArray, rate: FloatArray) -> None:
-    """Rows of across (3, 3) ← rate × each axis, the columns of [ω]×."""
+    """Set the rows of across (3, 3) to rate × each axis: the columns of [ω]×."""
     for i in range(3):
         x, y, z = 1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0
         across[i, 0] = rate[1] * z - rate[2] * y
@@ -200,8 +205,10 @@ class Pair(NamedTuple):
 
 @compiled
 def pair(pairs: Records[Products], s: int, arm: FloatArray, p: int, arm_p: FloatArray) -> Pair:
-    """The modules of segments s and p about a joint that is ``arm`` (3,) from one, ``arm_p`` from the
-    other."""
+    """Return how the modules of segments s and p agree about a joint.
+
+    arm, arm_p: (3,) from module to joint, m, axes of s and of p.
+    """
     n = round(math.sqrt(len(pairs)))
     both = pairs[max(s, p) * n + min(s, p)]
     if s < p:
@@ -246,7 +253,7 @@ def _mean_products(products: Products, arm: FloatArray, arm_p: FloatArray) -> tu
 
 @compiled
 def is_common(pairs: Records[Products], s: int, p: int) -> bool:
-    """Whether two modules were heard together for long enough, and hardly ever one of them alone."""
+    """Return whether two modules have sent together for long enough, and hardly ever one of them alone."""
     n = round(math.sqrt(len(pairs)))
     weight = pairs[max(s, p) * n + min(s, p)].weight
     return bool(
@@ -258,8 +265,10 @@ def is_common(pairs: Records[Products], s: int, p: int) -> bool:
 
 @compiled
 def pairs_of(sides: Records[Side], pairs: Records[Products]) -> FloatArray:
-    """(n, 4) ``Pair`` of each segment and its parent, with the arms that the rig says; NaN where there is no
-    joint, or too little was heard of one of them."""
+    """Return the ``Pair`` of each segment and its parent, (n, 4), with the arms that the rig gives.
+
+    NaN where there is no joint, or too few samples of one of the two.
+    """
     found = np.full((len(sides), 4), np.nan)
     for s in range(len(sides)):
         p = sides[s].parent
@@ -269,16 +278,21 @@ def pairs_of(sides: Records[Side], pairs: Records[Products]) -> FloatArray:
 
 
 def joint_scores(joints: Joints, state: AgreementState) -> FloatArray:
-    """(n,) of the joint to the parent: the rms difference over the rms acceleration of both; 0 when they
-    agree, about 1 when they have nothing to do with each other. NaN where there is no joint, or not enough
-    motion."""
+    """Return, (n,), how badly each segment and its parent agree about their joint.
+
+    It is their rms difference over the rms acceleration of both. 0 when they agree, about 1 when they have
+    nothing to do with each other. NaN where there is no joint, or not enough motion.
+    """
     difference, _, power, _ = pairs_of(joints.sides, state.pairs).T
     moved = power > LEAST_ACCELERATION**2
     return np.where(moved, np.sqrt(difference / np.where(moved, power, 1.0)), np.nan)
 
 
 def segment_scores(joints: Joints, scores: FloatArray) -> FloatArray:
-    """(n,) the best of each segment's joints: a module worn wrong agrees with none of its neighbours."""
+    """Return the best score of each segment's joints, (n,).
+
+    A module that is worn wrong agrees with no neighbour.
+    """
     result = np.full(len(scores), np.nan)
     for s, p in enumerate(joints.sides["parent"]):
         if p >= 0:

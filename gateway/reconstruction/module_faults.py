@@ -2,8 +2,9 @@
 
 A sensor's noise changes its last bits all the time. A module whose specific force and rate have not changed
 for a while, though other modules' have, is stuck. (If none changes, they may be noise-free simulations at
-rest: nothing is said.) Gyroscopes alone are stuck when they repeat themselves while they turn, or while the
-specific force says that the module moves: sooner than in rest, where coarse sensors may repeat themselves.
+rest: none is called stuck.) Gyroscopes alone are stuck when they repeat themselves while they turn, or while
+the specific force shows that the module moves: sooner than at rest, where coarse sensors may repeat
+themselves.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ SWINGING = 1.0
 
 
 class Repeats(Record):
-    """Of a module."""
+    """How long a module has repeated itself."""
 
     force: Vector  # last
     rate: Vector
@@ -42,13 +43,13 @@ class Repeats(Record):
 
 
 class RepeatState(NamedTuple):
-    """Changed in place."""
+    """The state of all modules; changed in place."""
 
     modules: Records[Repeats]
 
 
 def initial_repeats(m: int) -> RepeatState:
-    """Of m modules."""
+    """Return the state of m modules before the first frame."""
     modules = records(Repeats, m)
     modules["force"], modules["rate"] = np.nan, np.nan
     return RepeatState(modules)
@@ -58,7 +59,7 @@ def initial_repeats(m: int) -> RepeatState:
 def watch_repeats(
     modules: Records[Repeats], force: FloatArray, rate: FloatArray, status: StatusArray, dt: float
 ) -> None:
-    """``is_stuck`` ← of each module. force, rate: (m, 3) as sent; dt: since the frame before, s."""
+    """Set ``is_stuck`` of each module. force, rate: (m, 3) as sent; dt: since the frame before, s."""
     m = len(status)
     lively, lively_rates = 0, 0
     for i in range(m):
@@ -90,13 +91,16 @@ def watch_repeats(
 
 @compiled
 def _differs(value: float, before: float) -> bool:
-    """By more than rounding: a repeated reading that was interpolated may be off in its last bit."""
+    """Return whether two readings differ by more than rounding: a repeated one may be off in its last bit.
+
+    That is so where it was interpolated.
+    """
     return not abs(value - before) <= ROUNDING * abs(before)
 
 
 @compiled
 def _has_stuck_rate(module: Repeats, force: FloatArray, rate: FloatArray) -> bool:
-    """Whether a module's gyroscopes, if it has any, repeat themselves while it turns, or swings."""
+    """Return whether a module's gyroscopes, if it has any, repeat themselves while it turns, or swings."""
     if module.force_unchanged_s != 0.0 or module.rate_unchanged_s < STUCK_IN_MOTION_S:
         return False
     if not norm(rate) >= 0.0:  # NaN: it has none

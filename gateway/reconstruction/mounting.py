@@ -1,4 +1,4 @@
-"""Modules that are worn otherwise than the rig says: told from how neighbours agree about their joints.
+"""Find modules that are worn otherwise than the rig says, by how neighbours agree about their joints.
 
 Every second each explanation is tried: one module is turned (by any of the 23 rotations that take a box to
 itself), or two have changed places. An explanation makes other arms from module to joint, and its *gain* is
@@ -12,7 +12,7 @@ tissue, of arms or of sensors are in ``E`` and ``E_explained`` alike and cancel,
 explanation holds that halves the disagreement: ``GAIN`` = ln 2. Headings are left free, since neighbours'
 headings are found from the same accelerations.
 
-A module whose rig tells no place (position zero) is not judged: its arms are not known.
+A module without a position in the rig (zero) is not judged: its arms are not known.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from gateway.reconstruction.joint_agreement import (
 JUDGED_EVERY_S = 1.0
 GAIN = math.log(2.0)
 STAYS_ABOVE = 0.5 * GAIN
-"""A doubt is given up below that."""
+"""An explanation is given up below that."""
 CONFIRMED_BY = 2
 """Judgements in a row."""
 ARM_OFF = 0.03
@@ -52,14 +52,14 @@ TILT_OFF = 0.05
 NOISE = 0.05
 """m/s²."""
 AS_GOOD = 0.8
-"""Of the best explanation's gain: which of the two modules it is cannot be told."""
+"""Of the best explanation's gain: which of the two modules it is remains open."""
 UNKNOWN = math.pi
-"""rad: standard deviation of an orientation of which nothing is known."""
+"""rad: standard deviation of an unknown orientation."""
 NOBODY = -1
 
 
 class Worn(NamedTuple):
-    """Constant."""
+    """How a suit is worn; constant."""
 
     is_known: StatusArray  # (n,) whether the rig says where the module sits
     R_bs: FloatArray  # (n, 3, 3)
@@ -78,14 +78,14 @@ class MountingState(NamedTuple):
 
 
 def worn_of(suit: WornSuit) -> Worn:
-    """What is judged of a suit."""
+    """Return what of a suit is needed to judge how its modules are worn."""
     arms = np.linalg.norm(np.asarray(suit.lever_arms, np.float64), axis=1)
     is_known = (suit.module_of_segment >= 0) & (arms > 0.0)
     return Worn(is_known.astype(np.uint8), sensor_to_segment_matrices(suit), _turns())
 
 
 def _turns() -> FloatArray:
-    """The rotations of a box but the one that leaves it."""
+    """Return the rotations of a box but the one that leaves it as it is, (23, 3, 3)."""
     found = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -97,7 +97,7 @@ def _turns() -> FloatArray:
 
 
 def initial_mounting(n: int) -> MountingState:
-    """Of n segments."""
+    """Return the state of n segments before the first judgement."""
     nobody = np.full(n, NOBODY, np.int64)
     return MountingState(
         np.zeros(1), nobody.copy(), np.tile(np.eye(3), (n, 1, 1)), np.zeros(n, np.int64), nobody.copy(),
@@ -129,7 +129,7 @@ class Asked(NamedTuple):
 
 
 class Heard(NamedTuple):
-    """Of all joints."""
+    """The joints and the sums of products of their modules."""
 
     sides: Records[Side]
     pairs: Records[Products]
@@ -179,7 +179,7 @@ def _kept(
 
 
 def _asked(joints: Joints, agreement: AgreementState, worn: Worn) -> Asked:
-    """How the joints agree with what the rig says."""
+    """Return how the joints agree when all modules are worn as the rig says."""
     _, turned, power, swing = pairs_of(joints.sides, agreement.pairs).T
     is_known = (worn.is_known > 0) & (worn.is_known[joints.sides["parent"]] > 0)
     can_tell = (power >= LEAST_ACCELERATION**2) & is_known
@@ -190,7 +190,7 @@ def _asked(joints: Joints, agreement: AgreementState, worn: Worn) -> Asked:
 def _explained(
     joints: Joints, agreement: AgreementState, now: Arrangement, asked: Asked, found: Found
 ) -> Asked:
-    """The same with an explanation taken for granted."""
+    """Return the same where an explanation is taken to be true."""
     difference, concerned = asked.difference.copy(), _concerned(joints, asked, found.first, found.second)
     after = _differences(joints, agreement, now, concerned)[0]
     difference[concerned] = np.where(np.isnan(after), difference[concerned], after)
@@ -223,10 +223,10 @@ def _is_over(
     explained: set[int],
     s: int,
 ) -> bool:
-    """Whether the motion of now no longer speaks for an earlier doubt about segment s."""
+    """Return whether the latest motion no longer supports an earlier explanation of segment s."""
     partner = int(state.partner[s])
     if partner in explained:
-        return True  # of that one something else is known now
+        return True  # that one has another explanation now
     other = Arrangement(now.place.copy(), now.turn.copy())
     for i in {s, partner}:
         other.place[i], other.turn[i] = state.partner[i], state.turn[i]
@@ -235,7 +235,7 @@ def _is_over(
 
 
 def _concerned(joints: Joints, asked: Asked, s: int, o: int) -> IntArray:
-    """Joints that can be asked and that segment s or o has a part in."""
+    """Return the joints that can be judged and that segment s or o is a part of."""
     has_part = np.isin(joints.sides["parent"], (s, o))
     has_part[[s, o]] = True
     return np.flatnonzero(has_part & np.isfinite(asked.floor))
@@ -249,7 +249,10 @@ def _best(
     asked: Asked,
     explained: set[int],
 ) -> Found:
-    """The explanation of the largest gain from ``GAIN`` on, of segments not explained yet."""
+    """Return the explanation of the largest gain, at least ``GAIN``, of segments not explained yet.
+
+    Its gain is 0 if there is none.
+    """
     best = Found(0.0, NOBODY, NOBODY, 0)
     largest = np.nan_to_num(0.5 * np.log1p(asked.difference / asked.floor))  # nepers, by joint
     if largest.sum() < GAIN:
@@ -279,6 +282,7 @@ def _search(
                     reach += largest[j]
             if reach < max(GAIN, gain):
                 continue
+
             turn_s, turn_o = turn[s].copy(), turn[o].copy()
             place[s], place[o] = place[o], place[s]
             for h in range(len(worn.turns) if s == o else 1):
@@ -294,6 +298,7 @@ def _search(
                         total += 0.0 if math.isnan(gained) else gained
                 if total > gain:
                     gain, first, second, best_turn = total, s, o, h
+
             place[s], place[o] = place[o], place[s]
             turn[s], turn[o] = turn_s, turn_o
     return gain, first, second, best_turn
@@ -301,7 +306,7 @@ def _search(
 
 @compiled
 def _has_part(sides: Records[Side], floor: FloatArray, j: int, s: int, o: int) -> bool:
-    """Whether a joint can be asked and segment s or o has a part in it."""
+    """Return whether a joint can be judged and segment s or o is a part of it."""
     return math.isfinite(floor[j]) and (j in (s, o) or sides[j].parent in (s, o))
 
 
@@ -329,9 +334,10 @@ def _apply(worn: Worn, to: Arrangement, found: Found) -> None:
 def _gains(
     joints: Joints, agreement: AgreementState, other: Arrangement, asked: Asked, s: int, o: int
 ) -> FloatArray:
-    """(H,) nepers by which arrangements lower the disagreements about the joints of segments s and o.
+    """Return by how many nepers arrangements lower the disagreements of joints, (H,).
 
-    other: with one turn (n, 3, 3), or H of them (H, n, 3, 3)."""
+    The joints are those of segments s and o. other: with one turn (n, 3, 3), or H of them (H, n, 3, 3).
+    """
     concerned = _concerned(joints, asked, s, o)
     after = _differences(joints, agreement, other, concerned)
     before, floor = asked.difference[concerned], asked.floor[concerned]
@@ -342,7 +348,7 @@ def _gains(
 def _differences(
     joints: Joints, agreement: AgreementState, now: Arrangement, concerned: IntArray
 ) -> FloatArray:
-    """(H, k) ``Pair.turned`` of joints (k,); NaN where the two modules were not heard together."""
+    """Return ``Pair.turned`` of joints, (H, k); NaN where the two modules have not sent together."""
     turn = now.turn.reshape(-1, *now.turn.shape[-3:])
     return _arranged(Heard(joints.sides, agreement.pairs), now.place, turn, concerned)
 
@@ -358,7 +364,7 @@ def _arranged(heard: Heard, place: IntArray, turn: FloatArray, concerned: IntArr
 
 @compiled
 def _difference(heard: Heard, place: IntArray, turn: FloatArray, j: int) -> float:
-    """Return ``Pair.turned`` of a joint; NaN where the two modules were not heard together."""
+    """Return ``Pair.turned`` of a joint; NaN where the two modules have not sent together."""
     side, p = heard.sides[j], heard.sides[j].parent
     if not is_common(heard.pairs, place[j], place[p]):
         return math.nan

@@ -19,7 +19,7 @@ class Reconstructor(Protocol):
 
 
 def update_many(reconstructor: Reconstructor, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]:
-    """Frames in time order through any reconstructor, in one call where it can."""
+    """Return the poses of frames in time order by any reconstructor, in one call where it can."""
     many: Callable[[Sequence[ImuFrame]], list[SkeletonFrame]] | None = getattr(
         reconstructor, "update_many", None
     )

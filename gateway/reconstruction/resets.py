@@ -41,7 +41,7 @@ class _Correction:
 
 
 class Resets:
-    """The corrections in force."""
+    """The corrections in force, and how they are faded in."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self._skeleton = skeleton
@@ -54,22 +54,24 @@ class Resets:
         self.count = 0
 
     def apply(self, frame: SkeletonFrame) -> SkeletonFrame:
-        """The frame as it is to be shown."""
+        """Return the frame as it is to be shown."""
         shown = frame if self.count == 0 else self._corrected(frame)
         self._came, self._shown = frame, shown
         return shown
 
     def reset(self, kind: str, facing: float = 0.0) -> dict[str, object]:
-        """Takes effect with the next frame. facing: heading of the root afterwards, rad from east.
+        """Begin a reset, which takes effect with the next frame.
 
-        What was turned, in degrees, and moved. Raises ``GatewayError`` for an unknown kind, before the first
-        pose, where the root leans too far to have a heading, and where nobody knows its place.
+        Returns what is turned, in degrees, and moved, in m. facing: heading of the root afterwards, rad from
+        east. Raises ``GatewayError`` for an unknown kind, before the first pose, where the root leans too far
+        to have a heading, and where its position is unknown.
         """
         if kind not in KINDS:
             raise GatewayError(f"there is no reset '{kind}'{nearest(kind, KINDS)}")
         came, shown = self._came, self._shown
         if came is None or shown is None or not np.isfinite(shown.q_wb[shown.root]).all():
             raise GatewayError("there is no pose yet: wait until the suit is heard")
+
         now = self._at(came.time_ns)
         turn, mounting, shift = 0.0, self._to.mounting, self._to.shift - now.shift
         raw, fixed = came.p_w[came.root], shown.p_w[shown.root]
@@ -82,6 +84,8 @@ class Resets:
             heading = self._heading_of(shown.q_wb[shown.root])
             turn = 0.0 if kind == "mounting" else _wrapped(facing - heading)
             mounting = now.mounting if kind == "heading" else self._to_neutral(came, now, heading)
+
+        # the fade starts from what is shown now; a new anchor has the earlier shift in it
         if is_placed:
             self._anchor = raw.copy(), fixed.copy()
         to = now.heading if kind != "position" else self._to.heading
@@ -89,6 +93,7 @@ class Resets:
         self._to = _Correction(to + turn, mounting, shift)
         self._begun_ns = came.time_ns
         self.count += 1
+
         changed = [
             quaternion.angle_between(_exp(before), _exp(after))
             for before, after in zip(now.mounting, mounting, strict=True)
@@ -108,7 +113,10 @@ class Resets:
         }
 
     def _heading_of(self, q_wb: FloatArray) -> float:
-        """About the vertical, of a segment against the neutral posture, rad."""
+        """Return the heading of a segment against the neutral posture, rad.
+
+        Raises ``GatewayError`` where it leans too far.
+        """
         turned = quaternion.multiply(q_wb, quaternion.conjugate(self._skeleton.neutral))
         lean = 2.0 * np.arccos(min(float(np.hypot(turned[0], turned[3])), 1.0))
         if lean > _UPRIGHT_RAD:
@@ -118,7 +126,10 @@ class Resets:
         return float(2.0 * np.arctan2(turned[3], turned[0]))
 
     def _to_neutral(self, came: SkeletonFrame, now: _Correction, heading: float) -> FloatArray:
-        """Rotation vectors with which every segment is as in the neutral posture; unseen ones keep theirs."""
+        """Return the rotation vectors that bring every segment to the neutral posture.
+
+        Unseen segments keep theirs.
+        """
         wanted = quaternion.multiply(
             quaternion.from_rotation_vector((heading - now.heading) * _UP), self._skeleton.neutral
         )
@@ -131,7 +142,7 @@ class Resets:
         return mounting
 
     def _at(self, time_ns: int) -> _Correction:
-        """What is in force then."""
+        """Return the correction in force at that time."""
         if self._begun_ns is None:
             return self._to
         u = min(max((time_ns - self._begun_ns) * 1e-9 / FADE_S, 0.0), 1.0)
@@ -169,7 +180,10 @@ class Resets:
         )
 
     def _turned(self, markers: MarkerFit, turn: FloatArray, shift: FloatArray) -> MarkerFit:
-        """With the root, so that residuals stay what they are; a reset of the mounting does not move them."""
+        """Return markers turned with the root, so that residuals stay as they are.
+
+        A reset of the mounting does not move them.
+        """
         raw, fixed = self._anchor
         turned = quaternion.to_matrix(turn).T
         places = {
@@ -181,7 +195,10 @@ class Resets:
     def _places(
         self, frame: SkeletonFrame, q_wb: FloatArray, turn: FloatArray, shift: FloatArray
     ) -> FloatArray:
-        """Joints by forward kinematics from the root, which turns about where it was at the reset."""
+        """Return the joints by forward kinematics from the root.
+
+        The root turns about where it was at the reset.
+        """
         if not np.isfinite(frame.p_w).any():
             return frame.p_w
         raw, fixed = self._anchor

@@ -1,4 +1,4 @@
-"""Whether and where the body moves through the world, as the configuration says it."""
+"""Whether and where the body moves through the world, as configured."""
 
 from __future__ import annotations
 

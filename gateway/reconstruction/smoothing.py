@@ -1,4 +1,4 @@
-"""A whole recording at once: every orientation from what was felt before it and after it.
+"""A whole recording at once: every orientation from the measurements before and after it.
 
 Forward through the frames with the filter of ``inertial.tree``, backward with the same (``tree.smoothing``),
 and forward once more for what stands around the filter (segments without module, the place in the world). In
@@ -65,7 +65,7 @@ class _Block:
     covariance: FloatArray  # (T, n, 3, 3)
 
     def frames(self) -> list[ImuFrame]:
-        """What was observed, stuck modules left out."""
+        """Return what was observed, stuck modules left out."""
         local: list[list[LocalReading]] = [[] for _ in self.time_ns]
         for (t, device, time_ns, quantity), (value, sigma) in zip(
             self.reading_of.tolist(), self.readings, strict=True
@@ -82,7 +82,7 @@ class _Block:
         ]  # fmt: skip
 
     def found(self) -> Poses:
-        """What the filter made of them."""
+        """Return the poses that the filter has found."""
         return Poses(
             self.sequence.tolist(), self.time_ns.tolist(), self.q_wb, self.angular_rate,
             self.joint_acceleration, self.p_w, self.sigma, self.status, self.root,
@@ -93,8 +93,11 @@ class Smoother:
     """``add`` all frames, in time order, then take ``smoothed``."""
 
     def __init__(self, body: Reconstructor, folder: Path) -> None:
-        """body: a reconstructor that has seen nothing yet; folder: empty, for the blocks. Raises
-        ``GatewayError`` for a method that cannot go backward."""
+        """Create a smoother that has seen no frame.
+
+        body: a reconstructor that has seen none either. folder: empty, for the blocks. Raises
+        ``GatewayError`` for a method that cannot go backward.
+        """
         if not isinstance(body, WholeBodyReconstructor) or not isinstance(body.finder, ChainReconstructor):
             raise GatewayError(
                 f"smoothing is for the methods {' and '.join(SMOOTHED)}: add --reconstructor {SMOOTHED[0]}"
@@ -105,14 +108,17 @@ class Smoother:
         self._end_ns = 0
 
     def add(self, frames: Sequence[ImuFrame]) -> None:
-        """Frames in time order, after those before. Raises ``OSError`` where the disk is full."""
+        """Take frames in time order, later than those before. Raises ``OSError`` where the disk is full."""
         self._waiting.extend(frames)
         while len(self._waiting) >= FRAMES_A_BLOCK:
             self._go_forward(self._waiting[:FRAMES_A_BLOCK])
             del self._waiting[:FRAMES_A_BLOCK]
 
     def smoothed(self, progress: Progress | None = None) -> Iterator[SkeletonFrame]:
-        """All frames added, in time order. progress: told of blocks done, of twice as many."""
+        """Yield the smoothed poses of all frames added, in time order.
+
+        progress: called with the number of blocks done and twice the number of blocks.
+        """
         if self._waiting:
             self._go_forward(self._waiting)
             self._waiting = []
@@ -132,6 +138,7 @@ class Smoother:
         clean, seen, stood_s = prepared.observations, prepared.frames, prepared.stood_s
         covariance = np.empty((*stood_s.shape, 2, 3, 3))
         found = self._forward.poses(clean, seen, stood_s, covariance)
+
         readings = [(t, reading) for t, frame in enumerate(clean) for reading in frame.local]
         block = _Block(
             sequence=np.array([frame.sequence for frame in clean], np.int64),
@@ -151,6 +158,7 @@ class Smoother:
             **{name: getattr(found, name) for name in (*POSE_ARRAYS, "root")},
             covariance=covariance[:, :, 0].copy(),
         )
+
         self._end_ns = int(block.time_ns[-1])
         self._write(self._n_blocks, block)
         self._n_blocks += 1
@@ -192,6 +200,6 @@ class Smoother:
 
 
 def _mean(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Of what is known: both are off in time, one as late as the other is early."""
+    """Return the mean of what is not NaN: both are off in time, one as late as the other is early."""
     mean: FloatArray = np.where(np.isnan(a), b, np.where(np.isnan(b), a, 0.5 * (a + b)))
     return mean

@@ -44,7 +44,10 @@ def stacked(frames: Sequence[ImuFrame]) -> StackedFrames:
 
 
 def _stacked(arrays: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
-    """(T, …) copied, so that a read-only or strided array does not have the kernel compiled again."""
+    """Return the arrays as one, (T, …), copied.
+
+    A read-only or strided array would have the kernel compiled again.
+    """
     if len(arrays) == 1:  # three times as fast
         return np.array(arrays[0], dtype, order="C", ndmin=arrays[0].ndim + 1)
     return np.array(arrays, dtype, order="C")
@@ -72,7 +75,7 @@ class Poses(NamedTuple):
     root: IntArray  # (T,)
 
     def frames(self) -> list[SkeletonFrame]:
-        """Return them one by one, as views."""
+        """Return the poses one by one, as views."""
         return [
             SkeletonFrame(sequence, time_ns, q_wb, rate, acceleration, p_w, sigma, status, root)
             for sequence, time_ns, q_wb, rate, acceleration, p_w, sigma, status, root in zip(

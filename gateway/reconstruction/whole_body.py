@@ -95,7 +95,7 @@ class Prepared(NamedTuple):
 
 
 class _Memory(NamedTuple):
-    """All that is remembered besides the finder."""
+    """All state besides the finder's."""
 
     stance: StanceState
     position: PositionState
@@ -111,12 +111,15 @@ class WholeBodyReconstructor:
     floor, the start above the origin. status: PREDICTED for segments without module; a stuck module counts as
     silent. A frame that is not later than the one before changes nothing and gets the last pose again.
     Segments whose modules seem to be worn otherwise than the suit says are DOUBTFUL (see ``mounting``), and
-    their sigma says that nothing is known; their orientations stay as they were found.
+    their sigma is that of an unknown orientation; their orientations stay as they were found.
     ``joint_agreement``: see that module.
     """
 
     def __init__(self, suit: WornSuit, finder: OrientationFinder, root: RootSettings | None = None) -> None:
-        """Raises ``ValueError`` if the root shall walk and the body has no contacts."""
+        """Create the reconstructor and compile its kernels.
+
+        Raises ``ValueError`` if the root shall walk and the body has no contacts.
+        """
         self._suit = suit
         self.finder = finder
         self._array_finder = finder if isinstance(finder, _ArrayFinder) else None
@@ -175,11 +178,14 @@ class WholeBodyReconstructor:
         )
 
     def update(self, observation: ImuFrame) -> SkeletonFrame:
-        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
+        """Return the pose of one instant.
+
+        Raises nothing: what is not defined is NaN, and ``status`` says why.
+        """
         return self.update_many((observation,))[0]
 
     def update_many(self, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]:
-        """Instants in time order; the same as ``update`` of each, bit for bit."""
+        """Return the poses of instants in time order; the same as by ``update`` of each, bit for bit."""
         newest_ns, is_later = int(self._clock[0]), []
         for observation in observations:
             is_later.append(observation.time_ns > newest_ns)
@@ -203,7 +209,10 @@ class WholeBodyReconstructor:
         return self.finish(self._found(prepared), prepared)
 
     def prepare(self, observations: Sequence[ImuFrame]) -> Prepared:
-        """What is done before the finder, to instants in time order, at least one."""
+        """Return instants in time order, at least one, prepared for the finder.
+
+        Stuck modules are left out, and it is found how long each segment has been standing still.
+        """
         frames, n = stacked(observations), self._suit.skeleton.n_segments
         force, clipped, stood_s, dt = _room(len(observations), n)
         if self._prepare_frames(*frames, force, clipped, stood_s, dt, *self._arrays_before):
@@ -234,7 +243,11 @@ class WholeBodyReconstructor:
         return stacked_poses(found)
 
     def finish(self, poses: Poses, prepared: Prepared) -> list[SkeletonFrame]:
-        """What is done after the finder, to instants in time order; ``poses`` are changed in place."""
+        """Return poses after all that follows the finder, in time order; ``poses`` are changed in place.
+
+        Segments without a module are filled in, modules worn otherwise are marked, the body is placed in the
+        world.
+        """
         first, is_judged, n_frames = 0, False, len(poses.root)
         finish = self._finish_one if n_frames == 1 else finish_frames  # many may be a part, or backward
         while True:
@@ -249,27 +262,30 @@ class WholeBodyReconstructor:
             judge_mounting(self._joints, memory.agreement, self._worn, memory.mounting)
 
     def certainty(self) -> dict[str, dict[str, float | str | None]]:
-        """Return how sure each segment's tilt and heading are, and what shows the heading; none where the
-        finder does not tell."""
+        """Return how sure each segment's tilt and heading are, and what shows the heading.
+
+        Empty if the finder does not know.
+        """
         return self.finder.certainty() if isinstance(self.finder, TellsCertainty) else {}
 
     def joint_agreement(self) -> dict[str, float]:
-        """By segment: 0 when its module agrees with a neighbour's about their joint, about 1 when with none.
+        """Return by segment how its module and its best neighbour agree about their joint.
 
-        Only segments of which the last seconds' motion tells it."""
+        0: fully, about 1: not at all. Only segments that the motion of the last seconds is enough for.
+        """
         scores = segment_scores(self._joints, joint_scores(self._joints, self._memory.agreement))
         names = self._suit.skeleton.segment_names
         return {names[s]: round(float(scores[s]), 3) for s in np.flatnonzero(np.isfinite(scores))}
 
     def doubts(self) -> dict[int, str]:
-        """Why the segments of some modules are doubtful, and what to do, by module id."""
+        """Return by module id why its segment is doubtful, and a remedy."""
         mounting, rows = self._memory.mounting, self._suit.module_of_segment
         return {
             self._suit.module_ids[rows[s]]: self._doubt(int(s)) for s in np.flatnonzero(mounting.is_doubtful)
         }
 
     def _doubt(self, s: int) -> str:
-        """The reason in words of a segment that is doubtful, and a remedy."""
+        """Return why a segment is doubtful, and a remedy, in words."""
         mounting, names = self._memory.mounting, self._suit.skeleton.segment_names
         module, other, rival = (
             self._suit.module_ids[self._suit.module_of_segment[k]]
@@ -282,9 +298,11 @@ class WholeBodyReconstructor:
                 f"check that module {module} is on the {_spoken(names[s])} and module {other} on the "
                 f"{_spoken(place)}, or exchange them with 'modules assign'"
             )
+
         near = [int(p) for p in (self._joints.sides[s].parent,) if p >= 0]
         near += [int(c) for c in np.flatnonzero(self._joints.sides["parent"] == s)]
         around = " and ".join(_spoken(names[k]) for k in near)
+
         degrees = math.degrees(math.acos(min(max((np.trace(mounting.turn[s]) - 1.0) / 2.0, -1.0), 1.0)))
         either = (
             ""
@@ -298,7 +316,7 @@ class WholeBodyReconstructor:
         )
 
     def state(self) -> dict[str, NDArray[np.generic]]:
-        """All that is remembered, as arrays. Raises ``TypeError`` if the finder cannot tell its state."""
+        """Return all state, as arrays by name. Raises ``TypeError`` if the finder cannot be saved."""
         if not isinstance(self.finder, _Resumable):
             raise TypeError(f"{type(self.finder).__name__} cannot be saved and resumed")
         state = dict(self.finder.state())
@@ -308,7 +326,10 @@ class WholeBodyReconstructor:
         return state | {"time_ns.whole_body": self._clock.copy(), "last.numbers": _numbers(self._last)}
 
     def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
-        """Go on from a saved state. Raises ``ValueError`` if it is of another body."""
+        """Set a saved state, to go on from it.
+
+        Raises ``ValueError`` if it is of another body, ``TypeError`` if the finder cannot be resumed.
+        """
         if not isinstance(self.finder, _Resumable):
             raise TypeError(f"{type(self.finder).__name__} cannot be saved and resumed")
         for part, memory in self._memory._asdict().items():
@@ -324,7 +345,7 @@ class WholeBodyReconstructor:
         self.finder.set_state(state)
 
     def _compile(self) -> None:
-        """A few frames, so that every kernel is compiled before the first real one comes."""
+        """Feed a few frames, so that every kernel is compiled before the first real frame comes."""
         m = len(self._suit.module_ids)
         ones, none = np.ones((m, 3)), np.zeros(m, np.int64)
         for k in range(2):
@@ -339,7 +360,7 @@ class WholeBodyReconstructor:
 
 
 def no_pose(n: int) -> SkeletonFrame:
-    """Return the pose of n segments of which nothing is known."""
+    """Return the pose of n segments without any sample."""
     q_wb, rate, acceleration, p_w = (np.full((n, size), np.nan) for size in (4, 3, 3, 3))
     status = np.full(n, Status.MISSING, np.uint8)
     return SkeletonFrame(0, 0, q_wb, rate, acceleration, p_w, np.full(n, np.nan), status, 0)

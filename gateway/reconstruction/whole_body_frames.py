@@ -62,8 +62,11 @@ class Before(NamedTuple):
     stance: StanceState
 
     def arrays(self) -> tuple[Any, ...]:
-        """As ``prepare_frames`` takes it: kernels know the type of an array that is an argument of its own at
-        once, and look long at one within a tuple."""
+        """Return the parts as the arguments of ``prepare_frames``.
+
+        Numba finds the type of an array that is an argument of its own at once, and that of one in a tuple
+        slowly.
+        """
         return (*self[:5], *self.repeats, *self.stance)
 
 
@@ -82,7 +85,7 @@ class After(NamedTuple):
     position: PositionState
 
     def arrays(self) -> tuple[Any, ...]:
-        """As ``finish_frames`` takes it."""
+        """Return the parts as the arguments of ``finish_frames``."""
         return (*self[:2], *self.joints, *self.agreement, *self[4:9], *self.position)
 
 
@@ -106,11 +109,11 @@ def prepare_frames(
     repeats: Records[Repeats],
     stances: Records[Stance],
 ) -> bool:
-    """Instants in time order; values of modules that are stuck are taken out in place.
+    """Prepare instants in time order for the finder; return whether any module is stuck.
 
-    time_ns (T,), then (T, m, 3) and (T, m) by module. Written are, by segment and in its axes, specific force
-    (T, n, 3), clipped sensors (T, n) and for how long each stands still (T, n), s; dt (T,) since the frame
-    before, s; then the arrays of a ``Before``. Returns whether any module is stuck.
+    Values of stuck modules are taken out in place. time_ns (T,), then (T, m, 3) and (T, m) by module. Written
+    are, by segment and in its axes, specific force (T, n, 3), clipped sensors (T, n) and for how long each
+    stands still (T, n), s; dt (T,) since the frame before, s; then the arrays of a ``Before``.
     """
     observed = _nothing_observed(len(module_of_segment))
     stance = StanceState(stances)
@@ -144,7 +147,7 @@ def observe_frames(
     force_of_segment: FloatArray,
     clipped_of_segment: StatusArray,
 ) -> None:
-    """Only the specific forces (T, n, 3) and clipped sensors (T, n) by segment, of the same."""
+    """Write specific forces (T, n, 3) and clipped sensors (T, n) by segment, as ``prepare_frames`` does."""
     observed = _nothing_observed(len(module_of_segment))
     for t in range(len(status)):
         force = specific_force[t]
@@ -154,7 +157,7 @@ def observe_frames(
 
 @compiled
 def _nothing_observed(n: int) -> SegmentObservations:
-    """Of n segments."""
+    """Return the observations of n segments without any sample."""
     force, rate, field = np.full((n, 3), np.nan), np.full((n, 3), np.nan), np.full((n, 3), np.nan)
     return SegmentObservations(force, rate, field, np.full(n, MISSING, np.uint8), np.zeros(n, np.uint8))
 
@@ -169,7 +172,10 @@ def _copy(observed: SegmentObservations, force: FloatArray, clipped: StatusArray
 
 @compiled
 def _step(clock: IntArray, time_ns: int) -> float:
-    """Seconds since the frame before."""
+    """Return the time since the frame before, s, and set the clock.
+
+    It is at least ``SHORTEST_STEP_S`` and at most ``LONGEST_STEP_S``.
+    """
     dt = (time_ns - clock[0]) * 1e-9 if clock[0] > NEVER_NS else 0.0
     clock[0] = time_ns
     return min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
@@ -204,7 +210,7 @@ def finish_frames(
     bodies: Records[Position],
     contacts: Records[Contact],
 ) -> int:
-    """Poses in time order from ``first`` on, changed in place: (T, n, 4), (T, n, 3), (T, n) and root (T,).
+    """Finish poses in time order from ``first`` on, in place: (T, n, 4), (T, n, 3), (T, n) and root (T,).
 
     force, clipped, stood_s, dt: as ``prepare_frames`` has written them; then the arrays of an ``After``.
     Returns the frame after which it is to be judged how modules are worn; called again with it and
@@ -219,8 +225,10 @@ def finish_frames(
             judged[0] += dt[t]
             if judged[0] >= JUDGED_EVERY_S:
                 return t
+
         tell_doubtful(status[t], sigma[t], is_doubtful)
         follow(rules, q_wb[t], rate[t], sigma[t], status[t])
+
         if len(walks) > 0:
             for s in range(len(finite_rate)):
                 for i in range(3):
@@ -240,8 +248,11 @@ def finish_frames(
 
 @compiled
 def _tell_clipped(status: StatusArray, clipped: StatusArray) -> None:
-    """In place: whoever found the orientations, a gyroscope at the end of its range does not say how far its
-    segment has turned, nor such an accelerometer where down is."""
+    """Set ``status`` of segments with a sensor at the end of its range, in place.
+
+    PREDICTED: such a gyroscope does not show how far the segment has turned, whatever the finder. UNAIDED:
+    such an accelerometer does not show where down is.
+    """
     for s in range(len(status)):
         if status[s] <= INTERPOLATED:
             if clipped[s] & RATE_CLIPPED:
@@ -252,7 +263,10 @@ def _tell_clipped(status: StatusArray, clipped: StatusArray) -> None:
 
 @compiled
 def tell_doubtful(status: StatusArray, sigma: FloatArray, is_doubtful: StatusArray) -> None:
-    """In place: measured segments that are doubtful; nothing is known of how they are turned."""
+    """Mark measured segments whose modules seem to be worn otherwise, in place.
+
+    They become DOUBTFUL, with the sigma of an unknown orientation.
+    """
     for s in range(len(status)):
         if is_doubtful[s] and status[s] <= INTERPOLATED:
             status[s], sigma[s] = DOUBTFUL, UNKNOWN

@@ -135,12 +135,16 @@ class ArticulatedReconstructor:
         self._needs_pose = self._starting_pose is not None
 
     def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
-        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
+        """Return the pose of one instant.
+
+        Raises nothing: what is not defined is NaN, and ``status`` says why.
+        """
         time_ns = observation.time_ns
         sun = observation.sun
         if sun is not None:
             observation = with_sun_as_field(observation, sun)
             self._chain = self._chain._replace(field=np.array(sun.world, np.float64))
+
         observed = self._observer.observe(observation)
         self._root_motion.add(observation.local)
         self._start(observed, time_ns)
@@ -152,6 +156,7 @@ class ArticulatedReconstructor:
             self._settings.longest_gap_s,
             Instant(time_ns, self._root_motion.acceleration(time_ns), root_position, observed),
         )
+
         return SkeletonFrame(
             sequence=observation.sequence,
             time_ns=time_ns,
@@ -165,7 +170,7 @@ class ArticulatedReconstructor:
         )
 
     def _start(self, observed: SegmentObservations, time_ns: int) -> None:
-        """Give the segments that need two earlier orientations a start, where one is to be had."""
+        """Start segments that need two earlier orientations, by the starting pose or from rest."""
         lacks_rate = np.isnan(observed.angular_rate).any(axis=1)
         needs = (self._chain.on_joint == 0) & (self._state.is_started == 0) & lacks_rate
         needs &= observed.status <= Status.INTERPOLATED
@@ -190,7 +195,7 @@ class ArticulatedReconstructor:
         state.step[which], state.time_ns[which], state.is_started[which] = 0.0, time_ns, 1
 
     def _compile(self, n_modules: int, nominal_interval_s: float) -> None:
-        """Two frames of rest, so that every kernel is compiled before the first real one comes."""
+        """Feed two frames of rest, so that every kernel is compiled before the first real frame comes."""
         self.reset()
         for k in range(2):
             self.update(
@@ -240,11 +245,14 @@ class StaticStart:
         self.reset()
 
     def reset(self) -> None:
-        """Begin to watch anew."""
+        """Forget the frames seen so far."""
         self._history: list[SegmentObservations] = []
 
     def add(self, observations: SegmentObservations) -> FloatArray | None:
-        """Orientations (n_segments, 3, 3) when the body has rested, NaN without module; else None."""
+        """Return the orientations (n_segments, 3, 3) once the body has rested, until then None.
+
+        They are NaN for segments without a module.
+        """
         self._history = [*self._history[1 - self._n_frames :], observations]
         if len(self._history) < self._n_frames:
             return None
@@ -265,11 +273,11 @@ class StaticStart:
         return bool(off_norm.max() < self._norm_tolerance and force.std(axis=0).max() < self._deviation)
 
 
-# Which headings cannot be told
+# Which headings are not observable
 #
 # Find for which placements ``articulated`` loses the heading where modules have no gyroscopes.
 #
-# At rest a module off its joint tells nothing of a turn about the field but by the acceleration that such a
+# At rest a module off its joint shows nothing of a turn about the field but the acceleration that such a
 # turn would cause (``next_rotation``): where the arm from the joint lies in the plane of vertical and field,
 # only the pendulum equation is left, and that is stable for a module that hangs below the joint. So it is
 # tried, with these equations themselves: from a start that is wrong by a degree, a body at rest in the
@@ -318,7 +326,10 @@ def unobserved_headings(suit: WornSuit) -> dict[str, tuple[int, ...]]:
 
 
 def _turned(neutral: FloatArray, facing: int) -> FloatArray:
-    """Return the orientation (3, 3) of segments whose body faces that way."""
+    """Return the orientation (3, 3) of segments whose body faces that way.
+
+    neutral: (3, 3), of a body facing east.
+    """
     angle = math.radians(_NEUTRAL_FACING - facing)  # counter-clockwise from above
     turn = rotation_matrix.from_rotation_vector(np.array([0.0, 0.0, angle]))
     return np.asarray(turn @ neutral)

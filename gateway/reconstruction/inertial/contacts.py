@@ -51,7 +51,7 @@ SLOW_SEGMENT_S = 0.7
 
 
 class PastFrame(Record):
-    """What a segment's module said."""
+    """A sample of a segment's module."""
 
     age_s: float  # infinite: nothing
     force: Vector  # specific force, m/s²
@@ -59,7 +59,7 @@ class PastFrame(Record):
 
 
 class Stance(Record):
-    """What is remembered of a segment."""
+    """How long a segment has stood still, and the samples that this is judged by."""
 
     still_s: float  # since the test is passed
     frames: Annotated[Records[PastFrame], PastFrame, N_HISTORY]  # newest first
@@ -72,7 +72,7 @@ class StanceState(NamedTuple):
 
 
 def initial_stance(n: int) -> StanceState:
-    """Of n segments: nothing stands still."""
+    """Return the state of n segments before the first frame: none stands still."""
     segments = records(Stance, n)
     segments["frames"]["age_s"] = np.inf
     return StanceState(segments)
@@ -87,7 +87,7 @@ def watch_stance(
     observed: SegmentObservations,
     dt: float,
 ) -> None:
-    """stood_s (n,) ← for how long each segment has been at rest, s; 0: it is not, or its module is silent.
+    """Set stood_s (n,) to how long each segment has been at rest, s; 0: it is not, or its module is silent.
 
     carries: (n,) 1 for segments that stand on the ground (feet). gravity: its size, m/s². dt: since the frame
     before, s.
@@ -124,8 +124,10 @@ def _remember(frames: Records[PastFrame], force: FloatArray, rate: FloatArray, d
 
 @compiled
 def _test(frames: Records[PastFrame], gravity: float) -> float:
-    """T of the frames within the window, (37) of the estimator; infinite while they do not fill half of
-    it."""
+    """Return T of the frames within the window, equation (37) of the estimator.
+
+    It is infinite while they do not fill half of it.
+    """
     x, y, z = 0.0, 0.0, 0.0
     square, rate, count, oldest = 0.0, 0.0, 0, 0.0
     for k in range(N_HISTORY):
@@ -155,15 +157,15 @@ ERROR_MEMORY_S = 2.0
 BLIND_ACCELERATION = 5.0
 """m/s²/√Hz while the root's module is silent."""
 CONTACT_SPEED = 0.03
-"""m/s: of the point a foot stands on, as the legs tell it."""
+"""m/s: of the point a foot stands on, by the legs' kinematics."""
 CONTACT_PLACE = 0.01
 """m."""
 CORRELATION_S = 0.05
-"""For how long a contact's error lasts: denser frames say no more in all."""
+"""For how long a contact's error lasts: denser frames carry no more information in all."""
 SETTLING_S = 0.03
 """A foot that has been at rest for so long is held where it is."""
 SLIP_SPEED = 0.1
-"""m/s: a point that the legs see move faster has left the ground, whatever the foot's module says; and
+"""m/s: a point that the legs see move faster has left the ground, whatever the foot's module shows; and
 the ball of a foot that rolls off its heel stays until then."""
 SURELY = 3.0
 """Standard deviations of the body's velocity beyond which a contact that slips is not one."""
@@ -172,7 +174,7 @@ RELAXATION_S = 2.0
 PUSH_OFF_S = 0.3
 """A foot counts as what the body stands on for so long after it began to roll."""
 LONGEST_FLIGHT_S = 1.5
-"""No jump lasts longer: then the feet tell nothing (silent, stuck), and the body stays in place."""
+"""No jump lasts longer: then the feet's modules are silent or stuck, and the body stays in place."""
 HALT_S = 0.5
 """Time constant with which it halts then, and comes back to the floor."""
 FLOOR_S = 0.05
@@ -197,15 +199,15 @@ class Walk(Record):
 
 
 class Contact(Record):
-    """What is remembered of a contact."""
+    """The state of a contact."""
 
     anchor: Vector  # where it is held, m; NaN: it is not
     rolling_s: float  # since its segment last rested
-    has_slipped: int  # 1: moves against what carries the body, whatever its module says
+    has_slipped: int  # 1: moves against what carries the body, whatever its module shows
 
 
 class Position(Record):
-    """What is remembered of the body."""
+    """The position of the body and its covariance."""
 
     x: Matrix  # by world axis: position of the root's module m, velocity m/s, error m/s²
     P: Annotated[FloatArray, 2, 3, 3]  # horizontal, vertical
@@ -242,7 +244,7 @@ class Moving(NamedTuple):
 
 
 def initial_position(n_contacts: int) -> PositionState:
-    """Not yet begun."""
+    """Return the state before the body has a position."""
     state = PositionState(records(Position, 1), records(Contact, n_contacts))
     state.body["standing"], state.contacts["anchor"] = -1, np.nan
     return state
@@ -257,10 +259,11 @@ def advance_position(
     stood_s: FloatArray,
     dt: float,
 ) -> tuple[FloatArray, int]:
-    """One frame: where the skeleton root's joint is, (3,) m, and the segment it stands on, −1 for none.
+    """Advance by one frame; return the root joint's position (3,), m, and the segment stood on.
 
-    q_wb: (n, 4). rate: (n, 3) rad/s, segment axes. force: (n, 3) m/s², segment axes; NaN: none. stood_s:
-    (n,) s. The result is NaN until the reference segment and a contact have orientations.
+    q_wb: (n, 4). rate: (n, 3) rad/s, segment axes. force: (n, 3) m/s², segment axes; NaN: none. stood_s: (n,)
+    s. dt: s. The segment is −1 if the body stands on none. The position is NaN until the reference segment
+    and a contact have orientations.
     """
     r, v_r = _relative_motion(walker, q_wb, rate)
     walk, body, contacts, ref = walker.walk, walker.body, walker.contacts, walker.walk.reference
@@ -269,11 +272,14 @@ def advance_position(
     to_root = -quaternion.rotate(q_wb[ref], walk.arm) - _joint_of(walker, q_wb, ref)
     if not body.has_begun and not _begin(walk, body, r, to_root):
         return np.full(3, np.nan), -1
+
     acceleration = quaternion.rotate(q_wb[ref], force[ref]) + walk.gravity
     if body.aloft_s > LONGEST_FLIGHT_S:
         acceleration[:] = np.nan
         _halt(walk, body, r, dt)
     _predict(body, acceleration, dt)
+
+    # zero velocity of what stands; a contact that is lost is no longer held where it was
     n_held = 0
     for c in range(len(contacts)):
         stands_s = stood_s[walker.places[c].segment]
@@ -283,19 +289,25 @@ def advance_position(
         else:
             for i in range(3):
                 contacts[c].anchor[i] = np.nan
+
+    # contacts that are held together move towards where the filter has them
     if n_held > 1:
         for c in range(len(contacts)):
             anchor = contacts[c].anchor
             if is_finite(anchor):
                 gap = body.x[:, 0] + r[c] - anchor
                 anchor += gap * min(1.0, dt / RELAXATION_S)
+
     _choose(walker, stood_s, dt)
     return body.x[:, 0] + to_root, body.standing
 
 
 @compiled
 def _relative_motion(walker: Walker, q_wb: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Place (c, 3) and velocity (c, 3) of the contact points relative to the reference module; world."""
+    """Return position (c, 3), m, and velocity (c, 3), m/s, of the contacts in the world.
+
+    Both are relative to the reference module.
+    """
     n, walk = len(walker.parents), walker.walk
     p, v, turned = np.zeros((n, 3)), np.zeros((n, 3)), np.empty(3)
     for s in range(n):
@@ -303,6 +315,7 @@ def _relative_motion(walker: Walker, q_wb: FloatArray, rate: FloatArray) -> tupl
         if u >= 0:
             joint = Moving(p[u], v[u], turned)
             _carry(Moving(p[s], v[s], turned), joint, q_wb[u], rate[u], walker.offsets[s])
+
     ref, here, moves = walk.reference, np.empty(3), np.empty(3)
     joint = Moving(p[ref], v[ref], turned)
     _carry(Moving(here, moves, turned), joint, q_wb[ref], rate[ref], walk.arm)
@@ -320,7 +333,10 @@ def _relative_motion(walker: Walker, q_wb: FloatArray, rate: FloatArray) -> tupl
 
 @compiled
 def _carry(to: Moving, joint: Moving, q: FloatArray, rate: FloatArray, arm: FloatArray) -> None:
-    """to ← the point ``arm`` from a joint that moves, with a segment that turns."""
+    """Set ``to`` to the point ``arm`` (3,) from a moving joint, on a segment that turns.
+
+    rate and arm are in the segment's axes.
+    """
     turned = to.turned
     quaternion.rotate_into(turned, q, arm)
     for i in range(3):
@@ -337,7 +353,7 @@ def _carry(to: Moving, joint: Moving, q: FloatArray, rate: FloatArray, arm: Floa
 
 @compiled
 def _joint_of(walker: Walker, q_wb: FloatArray, segment: int) -> FloatArray:
-    """Proximal joint of a segment from the skeleton root's joint, world, m."""
+    """Return the proximal joint of a segment from the skeleton root's joint, (3,) world, m."""
     place, turned = np.zeros(3), np.empty(3)
     s = segment
     while walker.parents[s] >= 0:
@@ -350,7 +366,10 @@ def _joint_of(walker: Walker, q_wb: FloatArray, segment: int) -> FloatArray:
 
 @compiled
 def _begin(walk: Walk, body: Position, r: FloatArray, to_root: FloatArray) -> bool:
-    """Over the origin, the lowest contact on the floor."""
+    """Place the body over the origin with its lowest contact on the floor.
+
+    Returns whether a contact is known.
+    """
     lowest = np.inf
     for c in range(len(r)):
         if is_finite(r[c]):
@@ -370,7 +389,11 @@ def _begin(walk: Walk, body: Position, r: FloatArray, to_root: FloatArray) -> bo
 
 @compiled
 def _predict(body: Position, acceleration: FloatArray, dt: float) -> None:
-    """Over dt by the mean of the last two accelerations."""
+    """Predict position, velocity and acceleration error over dt (s).
+
+    The mean of the last two accelerations counts. acceleration: (3,) of the reference module, world, m/s²;
+    NaN: not known, and the velocity stays.
+    """
     noise = ACCELERATION_NOISE
     if is_finite(acceleration):
         a = 0.5 * (acceleration + body.acceleration)
@@ -396,7 +419,10 @@ def _predict(body: Position, acceleration: FloatArray, dt: float) -> None:
 
 @compiled
 def _halt(walk: Walk, body: Position, r: FloatArray, dt: float) -> None:
-    """Accelerations summed up twice are metres off within seconds: without a contact they count no longer."""
+    """Slow the body down and draw it to the floor: no contact has been seen for longer than a jump lasts.
+
+    Accelerations integrated twice are metres off within seconds.
+    """
     keep, lowest = math.exp(-dt / HALT_S), np.inf
     for c in range(len(r)):
         if is_finite(r[c]):
@@ -409,11 +435,11 @@ def _halt(walk: Walk, body: Position, r: FloatArray, dt: float) -> None:
 
 @compiled
 def _holds(walker: Walker, c: int, stands_s: float, r: FloatArray, v_r: FloatArray, dt: float) -> bool:
-    """Whether contact c is on the ground and does not move.
+    """Return whether contact c is on the ground and does not move.
 
     One that slips while another segment stands, or faster than the body's own velocity can be wrong, is not
     taken back until it moves with the body or its module has seen it move: a module that is stuck in rest
-    would else pull the body along.
+    would otherwise pull the body along.
     """
     contact, body = walker.contacts[c], walker.body
     contact.rolling_s = 0.0 if stands_s > 0.0 else contact.rolling_s + dt
@@ -433,7 +459,7 @@ def _holds(walker: Walker, c: int, stands_s: float, r: FloatArray, v_r: FloatArr
 
 @compiled
 def _stands_elsewhere(walker: Walker, c: int) -> bool:
-    """Whether a contact of another segment than that of contact c is held."""
+    """Return whether a contact of another segment than that of contact c is held."""
     places, contacts = walker.places, walker.contacts
     for other in range(len(places)):
         if places[other].segment != places[c].segment and is_finite(contacts[other].anchor):
@@ -443,7 +469,10 @@ def _stands_elsewhere(walker: Walker, c: int) -> bool:
 
 @compiled
 def _stand(walker: Walker, c: int, stands_s: float, r: FloatArray, v_r: FloatArray, dt: float) -> None:
-    """Contact c has no velocity; once it has settled it stays where it is."""
+    """Observe that contact c has no velocity and, once it has settled, that it stays where it is.
+
+    r, v_r: (3,) position and velocity relative to the reference module, world.
+    """
     walk, body, anchor = walker.walk, walker.body, walker.contacts[c].anchor
     scale = max(1.0, CORRELATION_S / dt)
     _observe(body, 1, -v_r, CONTACT_SPEED**2 * scale)
@@ -462,7 +491,10 @@ def _stand(walker: Walker, c: int, stands_s: float, r: FloatArray, v_r: FloatArr
 
 @compiled
 def _observe(body: Position, what: int, value: FloatArray, variance: float) -> None:
-    """A place (what 0) or a velocity (1) of the reference point, (3,)."""
+    """Update the filter by a position (what 0), m, or velocity (1), m/s, of the reference module.
+
+    value: (3,), world.
+    """
     for k in range(2):
         P, x = body.P[k], body.x
         told, total = (P[what, 0], P[what, 1], P[what, 2]), P[what, what] + variance
@@ -478,8 +510,11 @@ def _observe(body: Position, what: int, value: FloatArray, variance: float) -> N
 
 @compiled
 def _choose(walker: Walker, stood_s: FloatArray, dt: float) -> None:
-    """The body stands on what it stood on as long as that rests, else on what has rested longest; it pushes
-    off from it for a moment."""
+    """Choose the segment that the body stands on.
+
+    It is the same as before while that rests, else the one that rests longest. When none rests, the last one
+    stays for ``PUSH_OFF_S``.
+    """
     body = walker.body
     body.aloft_s += dt
     longest, chosen = 0.0, -1

@@ -38,7 +38,7 @@ HELD, MISSING, PREDICTED, UNAIDED = (
 
 
 RANGES = tuning()
-"""Where sensors are saturated that do not say so themselves, the same as for ``joint``."""
+"""Limits of sensors that do not report saturation themselves, the same as for ``joint``."""
 
 
 class IndependentReconstructor:
@@ -94,13 +94,14 @@ class IndependentReconstructor:
         self._time_ns = 0
 
     def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
-        """One instant."""
+        """Return the pose of one instant."""
         sun = observation.sun
         if sun is not None:
             observation = with_sun_as_field(observation, sun)
             self._q_world = _facing(sun.world)
         status = self._step_filters(observation)
         observed = self._observer.observe(observation)
+
         dt = (observation.time_ns - self._time_ns) * 1e-9
         q_wb, acceleration, status = _body_pose(
             self._parents,
@@ -115,10 +116,12 @@ class IndependentReconstructor:
             self._lever_arms,
             self._gravity,
         )
+
         self._rate, self._time_ns = observed.angular_rate, observation.time_ns
         for segment, module in zip(self._observed, self._filters, strict=True):
             if status[segment] == HELD and module.is_silent(observation.time_ns):
                 status[segment] = PREDICTED
+
         return SkeletonFrame(
             sequence=observation.sequence,
             time_ns=observation.time_ns,
@@ -132,7 +135,7 @@ class IndependentReconstructor:
         )
 
     def _step_filters(self, observation: ImuFrame) -> StatusArray:
-        """Feeds every module's filter; the status by segment, PREDICTED where there is no module."""
+        """Feed every module's filter; return the status by segment, PREDICTED where there is no module."""
         status = np.full(len(self._parents), PREDICTED, np.uint8)
         f, w, x = (np.array(v, np.float64, order="C") for v in _rows_of(observation))
         is_inertial, has_field = _has_values(f, w), _has_values(x)
@@ -140,6 +143,7 @@ class IndependentReconstructor:
         clipped = clipped_of(observation)
         is_unaided = _beyond(f, RANGES.largest_force) | ((clipped & Clipped.SPECIFIC_FORCE) > 0)
         is_blind = _beyond(w, RANGES.largest_rate) | ((clipped & Clipped.ANGULAR_RATE) > 0)
+
         is_sound = [False] * len(status)
         told = (v.tolist() for v in (is_inertial, is_blind, is_unaided, has_field, observation.status))
         modules = zip(self._observed, self._rows, self._filters, strict=True)
@@ -158,13 +162,14 @@ class IndependentReconstructor:
             self._q_vqf[segment] = module.orientation
             self._has_field[segment] = module.has_field
             status[segment] = UNAIDED if unaided else came_as
+
         places, sound = self._places, np.array(is_sound)
         note(self._motion, *places, sound, self._q_vqf, f, w, x, self._g, self._interval_s)
         return status
 
 
 def _beyond(values: FloatArray, largest: float) -> NDArray[np.bool_]:
-    """(n_modules,) whether a sensor is at the end of its range on any axis."""
+    """Return, (n_modules,), whether a sensor is at the end of its range on any axis."""
     is_beyond: NDArray[np.bool_] = np.logical_or.reduce(np.abs(values) > largest, axis=1)
     return is_beyond
 
@@ -174,19 +179,19 @@ def _rows_of(observation: ImuFrame) -> tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _has_values(*sensors: FloatArray) -> NDArray[np.bool_]:
-    """(n_modules,) whether all the sensors gave finite values."""
+    """Return, (n_modules,), whether all the sensors gave finite values."""
     has: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(np.hstack(sensors)), axis=1)
     return has
 
 
 def _facing(field: FloatArray) -> FloatArray:
-    """(4,) from the filter's world, whose y points where the field (3,) does, to ENU."""
+    """Return the rotation (4,) from the filter's world, whose y points where the field (3,) does, to ENU."""
     declination = math.atan2(field[0], field[1])
     return quaternion.from_rotation_vector(np.array([0.0, 0.0, -declination]))
 
 
 def _inverse_alignment(suit: WornSuit) -> FloatArray:
-    """q_sb, (n_segments, 4)."""
+    """Return q_sb, segment to sensor, (n_segments, 4)."""
     return np.stack([quaternion.conjugate(quaternion.normalise(q)) for q in suit.sensor_to_segment])
 
 
@@ -204,7 +209,7 @@ def _body_pose(
     lever_arms: FloatArray,
     gravity: FloatArray,
 ) -> tuple[FloatArray, FloatArray, StatusArray]:
-    """Orientations and joint accelerations in the world, (n, 4) and (n, 3), and the status."""
+    """Return orientations (n, 4) and joint accelerations (n, 3), m/s², in the world, and the status (n,)."""
     n = len(parents)
     q_wb, acceleration, status = np.full((n, 4), np.nan), np.full((n, 3), np.nan), sensed.copy()
     for s in range(n):

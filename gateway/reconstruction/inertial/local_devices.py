@@ -28,7 +28,7 @@ _KEPT = 8  # readings; frames lag the newest reading by a few at most
 
 
 def in_segment_axes(device: LocalDevice, value: FloatArray) -> FloatArray:
-    """(3,) as read: turned into its segment's axes if the device measures along its own, else as it is."""
+    """Return a reading (3,), in its segment's axes if the device measures along its own."""
     if device.quantity is Quantity.AIR_VELOCITY:
         return quaternion.rotate(device.orientation, value)
     return value
@@ -67,7 +67,10 @@ class RootMotion:
         self._positions: deque[_Instant] = deque(maxlen=_KEPT)
 
     def add(self, readings: Iterable[LocalReading]) -> None:
-        """Readings in time order; other devices' and other quantities are passed over, as are repeats."""
+        """Take readings in time order.
+
+        Those of other devices or quantities are passed over, as are repeated ones.
+        """
         device = self._device
         if device is None or device.quantity is Quantity.FIXED_POINT:
             return
@@ -78,15 +81,18 @@ class RootMotion:
                 self._take(device.quantity, reading)
 
     def places(self) -> dict[str, NDArray[np.generic]]:
-        """Return the measured places that are remembered, as arrays: all there is of a device that measures
-        positions, but for the acceleration found from them."""
+        """Return the measured positions that are kept, as arrays.
+
+        They are the whole state of a device that measures positions, but for the acceleration found from
+        them.
+        """
         times, values = np.full(_KEPT, -1, np.int64), np.full((_KEPT, 3), np.nan)
         for k, instant in enumerate(self._positions):
             times[k], values[k] = instant.time_ns, instant.value
         return {"places.time_ns": times, "places.value": values}
 
     def set_places(self, state: Mapping[str, NDArray[np.generic]]) -> None:
-        """Go on from what ``places`` has returned."""
+        """Set the positions that ``places`` has returned."""
         self.reset()
         for time_ns, value in zip(state["places.time_ns"], state["places.value"], strict=True):
             if time_ns >= 0:
@@ -94,13 +100,16 @@ class RootMotion:
                 self._positions.append(_Instant(int(time_ns), np.array(value, np.float64)))
 
     def acceleration(self, time_ns: int) -> FloatArray:
-        """a_1, (3,) world, m/s²; NaN while not known."""
+        """Return a_1, (3,) world, m/s²; NaN while it is not known."""
         if self._device is None or self._device.quantity is Quantity.FIXED_POINT:
             return np.zeros(3)
         return self._at(self._accelerations, time_ns)
 
     def position(self, time_ns: int) -> FloatArray:
-        """Where P_1 is, (3,) world, m: as measured (NaN while not known); the origin if it is not."""
+        """Return the position of P_1, (3,) world, m; NaN while it is not known.
+
+        It is the origin if no device measures it.
+        """
         if self._device is None or self._device.quantity is not Quantity.POSITION:
             return np.zeros(3)
         return self._at(self._positions, time_ns)
@@ -118,7 +127,10 @@ class RootMotion:
             self._positions.append(_Instant(reading.time_ns, value))
 
     def _at(self, instants: deque[_Instant], time_ns: int) -> FloatArray:
-        """Interpolated between the readings around ``time_ns``, else the last one before it."""
+        """Return the value interpolated between the readings around ``time_ns``, else the last one before it.
+
+        NaN if that is older than ``longest_hold_s``, or there is none.
+        """
         later: _Instant | None = None
         for instant in reversed(instants):
             if instant.time_ns > time_ns:
@@ -182,7 +194,10 @@ class Differentiator:
         self._readings.clear()
 
     def add(self, time_ns: int, value: FloatArray, sigma: FloatArray) -> Derivative | None:
-        """One reading more, later than those before, (3,) each; None until there are enough."""
+        """Take one reading, (3,) each, later than those before; return the derivative.
+
+        Returns None until there are enough readings.
+        """
         readings = self._readings
         if readings and time_ns - readings[-1][0] > self._gap_ns:
             readings.clear()
@@ -193,7 +208,10 @@ class Differentiator:
         return self._fit(list(readings)[-self._least_number(least) :]) if len(readings) >= least else None
 
     def _least_number(self, least: int) -> int:
-        """How many of the last readings are enough for the wanted standard deviation; else all of them."""
+        """Return how many of the last readings are enough for the wanted standard deviation.
+
+        If none are, all of them count.
+        """
         newest_ns, _, sigma = self._readings[-1]
         largest = float(np.max(sigma))
         factor = 720.0 if self._n_derivatives == 2 else 12.0
@@ -223,9 +241,9 @@ class Differentiator:
 
 # Where a place is while it is not measured
 #
-# Where the body is while the device that measures it is silent, and when it speaks again.
+# Where the body is while the device that measures it is silent, and when readings come again.
 #
-# Meanwhile the last place stands. What the device then says is further off the longer it was silent: the body
+# Meanwhile the last place stands. The next reading is further off the longer the device was silent: the body
 # does not jump there but goes, e-fold within ``RETURN_S``.
 
 
@@ -246,7 +264,7 @@ class PlaceKeeper:
         self._time_ns = -1
 
     def state(self) -> dict[str, NDArray[np.generic]]:
-        """Return all that is remembered, as arrays."""
+        """Return all state, as arrays by name."""
         return {
             "kept_place.place": self._place.copy(),
             "kept_place.offset": self._offset.copy(),
@@ -255,14 +273,17 @@ class PlaceKeeper:
         }
 
     def set_state(self, state: Mapping[str, NDArray[np.generic]]) -> None:
-        """Go on from what ``state`` has returned."""
+        """Set the state that ``state`` has returned."""
         self._place = np.array(state["kept_place.place"], np.float64)
         self._offset = np.array(state["kept_place.offset"], np.float64)
         self._is_lost = bool(state["kept_place.is_lost"][0])
         self._time_ns = int(state["kept_place.time_ns"][0])
 
     def at(self, measured: FloatArray, time_ns: int) -> FloatArray:
-        """(3,) m, of an instant not before the last one; measured: NaN while the device is silent."""
+        """Return the position (3,), m, at an instant not before the last one.
+
+        measured: (3,), m; NaN while the device is silent.
+        """
         dt = (time_ns - self._time_ns) * 1e-9 if self._time_ns >= 0 else 0.0
         self._time_ns = time_ns
         if not np.isfinite(measured).all():

@@ -27,7 +27,7 @@ BIAS_PAUSE_S = 10.0
 """After settling VQF's inclination still moves to what its low-pass finds, for three of its time constants:
 it would take this for a bias of the gyroscopes, and after many gaps believe in one."""
 LONGEST_GAP_S = 0.2
-"""After a longer one the last orientation is a mere guess, and saturated gyroscopes tell not even that."""
+"""After a longer one the last orientation is a mere guess, and saturated gyroscopes do not give even that."""
 _LONGEST_GAP_NS = round(LONGEST_GAP_S * 1e9)
 _AVERAGES = (
     "accLpState",
@@ -43,14 +43,14 @@ _NONE = np.full(3, np.nan)
 
 
 class Sample(NamedTuple):
-    """Of one module, sensor axes; None where a sensor has nothing to say."""
+    """One sample of a module, sensor axes; None where a sensor has no value."""
 
     specific_force: FloatArray | None  # (3,) m/s²
     angular_rate: FloatArray  # (3,) rad/s
     magnetic_field: FloatArray | None  # (3,) any unit
 
     def between(self, other: Sample, share: float) -> Sample:
-        """On the way to another one."""
+        """Return the sample that far (``share``, 0 to 1) on the way to another one, interpolated linearly."""
         pairs = zip(self, other, strict=True)
         f, w, x = (None if a is None or b is None else (1.0 - share) * a + share * b for a, b in pairs)
         assert w is not None  # of both
@@ -62,8 +62,11 @@ class ModuleFilter:
     north; without a field the heading is arbitrary, and kept over gaps."""
 
     def __init__(self, interval_s: float, gravity: float, motion: MotionStatistics, segment: int) -> None:
-        """interval_s: that a sample stands for; gravity: m/s²; motion: of which those of the segment are this
-        module's; whoever calls ``take`` notes them."""
+        """Create a filter of one module that has seen no sample yet.
+
+        interval_s: time between samples, s. gravity: m/s². motion: statistics of all modules, of which row
+        ``segment`` is this module's; the caller of ``take`` updates them.
+        """
         self._interval_s = float(interval_s)
         self._gravity = gravity
         self._motion, self._segment = motion, segment
@@ -82,9 +85,9 @@ class ModuleFilter:
         self._vqf.setMotionBiasEstEnabled(True)
         self._vqf.resetState()
         self._before: Before | None = None
-        """While it settles."""
+        """What was known before the gap; None unless the module settles."""
         self._pause_s = 0.0
-        """Until motion may tell the bias again, after that."""
+        """After settling, time until the bias is estimated in motion again, s."""
         self._since = nothing_since()
         self._q_wi, self._sigma = np.array([1.0, 0.0, 0.0, 0.0]), 0.0
         self._kept: _Kept | None = None
@@ -102,11 +105,11 @@ class ModuleFilter:
         return np.asarray(self._vqf.getQuat9D() if self.has_field else self._vqf.getQuat6D())
 
     def is_silent(self, time_ns: int) -> bool:
-        """Whether the last values are too old to go on from."""
+        """Return whether the last values are older than ``LONGEST_GAP_S``, too old to go on from."""
         return time_ns - self._heard_ns > _LONGEST_GAP_NS
 
     def take(self, sample: Sample, time_ns: int) -> None:
-        """One as it should be, whatever was before it."""
+        """Take a sound sample. A gap before it is bridged, or the module begins to settle."""
         if self._last is not None and time_ns - self._sound_ns > 1.5e9 * self._interval_s:
             self._catch_up(self._last, sample, (time_ns - self._sound_ns) * 1e-9)
         self._kept = None
@@ -116,8 +119,11 @@ class ModuleFilter:
         self._advance(sample)
 
     def take_doubtful(self, sample: Sample, time_ns: int, is_blind: bool) -> None:
-        """The last one repeated, or one from the end of the gyroscopes' range (``is_blind``): shown until a
-        better one comes. A repeated one is believed for no longer than a gap that is bridged."""
+        """Take the last sample repeated, or one of a saturated gyroscope (``is_blind``).
+
+        Its effect lasts until a sound sample comes, which takes it back. A repeated sample is used for no
+        longer than a gap that is bridged.
+        """
         if self._kept is None:
             since = Since(*(sums.copy() for sums in self._since))
             self._kept = _Kept(self._vqf.state, self._before, self._pause_s, since, self._q_wi, self._sigma)
@@ -128,7 +134,7 @@ class ModuleFilter:
             self._advance(sample)
 
     def _advance(self, sample: Sample) -> None:
-        """One sample, one interval after the one before."""
+        """Feed VQF one sample, one interval after the one before; go on settling while the module does."""
         f, w, x = sample
         self._is_known = True
         self._vqf.updateGyr(w)
@@ -150,13 +156,16 @@ class ModuleFilter:
             self._hand_over()
 
     def _pass_pause(self) -> None:
-        """A sample's worth of it."""
+        """Count one sample off the pause of the bias estimation, and end the pause when it is over."""
         self._pause_s -= self._interval_s
         if self._pause_s <= 0.0:
             self._vqf.setMotionBiasEstEnabled(True)
 
     def _catch_up(self, last: Sample, sample: Sample, since_s: float) -> None:
-        """Over the gap between two sound samples, taking back what doubtful ones did meanwhile."""
+        """Bridge the gap between two sound samples, or begin to settle after it.
+
+        What doubtful samples in it have done is taken back.
+        """
         if self._was_blind and since_s <= LONGEST_GAP_S:
             return  # the end of the range is the best guess
         if self._kept is not None:
@@ -173,8 +182,11 @@ class ModuleFilter:
         self._resume(after_gap(self._motion, self._segment, gap_s, rate), gap_s)
 
     def _resume(self, expected: tuple[FloatArray, float], gap_s: float) -> None:
-        """Settle from the next sample on. expected: orientation after the gap (4,), and its standard
-        deviation about an axis in rad, for one that was known before the gap; gap_s: the gap's length, s."""
+        """Begin to settle from the next sample on.
+
+        expected: orientation after the gap (4,), and its standard deviation about an axis in rad, for one
+        that was known before the gap. gap_s: the gap's length, s.
+        """
         q_expected, sigma = expected
         if self._before is not None:
             sigma = math.hypot(sigma, self._sigma)
@@ -187,7 +199,10 @@ class ModuleFilter:
         self._since = nothing_since()
 
     def _forget_averages(self, state: dict[str, object], gap_s: float) -> None:
-        """Of the time before the gap. The bias is kept, less certain, as far as anything was learnt of it."""
+        """Drop VQF's averages of the time before the gap.
+
+        The bias stays, less certain, as far as it was learnt.
+        """
         for name in _AVERAGES:
             state[name] = [float("nan")] * len(state[name])  # type: ignore[arg-type]
         largest, step = self._vqf.coeffs["biasP0"], self._vqf.coeffs["biasV"] * gap_s / self._interval_s
@@ -199,7 +214,10 @@ class ModuleFilter:
         self._vqf.setMotionBiasEstEnabled(False)  # VQF's own inclination is not to be believed meanwhile
 
     def _hand_over(self) -> None:
-        """Put VQF where the module was found: level, its low-pass as if it had been so for long."""
+        """Set VQF to the orientation that settling has found.
+
+        VQF is level then, its low-pass as if it had been so for long.
+        """
         vqf, state = self._vqf, self._vqf.state
         level = quaternion.rotate(quaternion.conjugate(self._q_wi), np.array([0.0, 0.0, self._gravity]))
         b, a = vqf.coeffs["accLpB"], vqf.coeffs["accLpA"]
@@ -214,7 +232,7 @@ class ModuleFilter:
 
 
 class _Kept(NamedTuple):
-    """All that changes."""
+    """The state before doubtful samples, to go back to."""
 
     state: dict[str, object]
     before: Before | None
@@ -227,13 +245,13 @@ class _Kept(NamedTuple):
 # How a module has been moving, and hence what a gap in its samples may have done to it
 #
 # Within a tenth of a second or so a segment turns by about the mean of the rates before and after. Beyond
-# that nobody knows which way it turned; but limbs come back to where they use to be, so that the mean
-# orientation of the last seconds tells more than the last one does as soon as the module may have left it.
+# that it is unknown which way it turned; but limbs come back to where they usually are, so that the mean
+# orientation of the last seconds is a better guess than the last one as soon as the module may have left it.
 
 
 RATE_MEMORY_S, MEAN_MEMORY_S = 3.0, 8.0
 LONGEST_TURN_S = 0.4
-"""Up to here the mean rate of both ends tells how far a limb has turned; measured on people and on a rig."""
+"""Up to here the mean rate of both ends shows how far a limb has turned; measured on people and on a rig."""
 CURVATURE = 2.0
 """1/s: error of that turn over rate times the gap's square."""
 WANDERING = 0.78
@@ -241,7 +259,7 @@ WANDERING = 0.78
 DRIFT = 0.15
 """rad/s at which the mean orientation itself becomes old."""
 SLOWEST = 0.5
-"""rad/s: so fast any module may turn while nobody looks, however still it was."""
+"""rad/s: so fast any module may turn during a gap, however still it was."""
 FLOOR, START_ERROR = 0.02, 0.5
 """rad: of any orientation before a gap, and of one at the start, less with every second since."""
 
@@ -250,7 +268,7 @@ class MotionStatistics(NamedTuple):
     """By segment, changed in place; of the sound samples."""
 
     orientation: FloatArray  # (n, 4) the last, sensor to the filter's world
-    mean: FloatArray  # (n, 4) of the last seconds; its length says how far they spread
+    mean: FloatArray  # (n, 4) of the last seconds; the shorter it is, the more they spread
     specific_force: FloatArray  # (n, 3) last values, sensor axes
     angular_rate: FloatArray  # (n, 3)
     magnetic_field: FloatArray  # (n, 3) NaN where there was none
@@ -260,13 +278,13 @@ class MotionStatistics(NamedTuple):
 
 
 def no_motion_statistics(n: int) -> MotionStatistics:
-    """Of n segments of which nothing is known yet."""
+    """Return the statistics of n segments before their first samples."""
     q, v = np.zeros((n, 4)), np.zeros((n, 3))
     return MotionStatistics(q, q.copy(), v, v.copy(), v.copy(), np.zeros(n), np.zeros(n), np.zeros(n))
 
 
 def clear(motion: MotionStatistics) -> None:
-    """Forget all of it, in place."""
+    """Reset the statistics, in place."""
     for values in motion:
         values[...] = 0.0
 
@@ -284,8 +302,11 @@ def note(
     gravity: float,
     dt: float,
 ) -> None:
-    """One instant. segments, rows: (k,) segments with modules, and these; is_sound: (n,), q: (n, 4) by
-    segment; f, w, x: (m, 3) by row; dt: s that a sample stands for."""
+    """Update the statistics by one instant.
+
+    segments, rows: (k,) segments with modules, and these; is_sound: (n,), q: (n, 4) by segment; f, w, x: (m,
+    3) by row; dt: s between samples.
+    """
     for s, row in zip(segments, rows):  # noqa: B905 - strict is not known to the compiler
         if not is_sound[s]:
             continue
@@ -303,7 +324,7 @@ def note(
 
 @compiled
 def after_gap(motion: MotionStatistics, s: int, gap_s: float, rate: FloatArray) -> tuple[FloatArray, float]:
-    """The orientation to be expected of segment s (4,), and its standard deviation about an axis, rad.
+    """Return the orientation (4,) of segment s expected after a gap, and its sigma about an axis, rad.
 
     rate: (3,) mean of those before and after the gap, rad/s, without bias.
     """
@@ -320,14 +341,14 @@ def after_gap(motion: MotionStatistics, s: int, gap_s: float, rate: FloatArray) 
     return motion.orientation[s].copy(), min(wandered, math.pi) + known
 
 
-# Where a module is that is back after a gap: from all that it has said since, and what was known before
+# Where a module is that is back after a gap: from all its samples since, and what was known before
 #
 # Its gyroscope carries every sample since into one frame, that of the return; how this frame i stands in the
-# world does not change any more. Three things tell: the mean specific force there, which is gravity but for
-# the velocity gained meanwhile; the mean magnetic field, if its inclination is known; and the orientation
-# before the gap. Each counts by how uncertain it is, and the orientation that all of them together make
-# likeliest is the eigenvector of a symmetric 4 × 4 matrix (Davenport's q-method: Markley & Mortari,
-# J. Astronaut. Sci. 48, 2000; a prior rotation adds its own outer product).
+# world does not change any more. Three things show it: the mean specific force there, which is gravity but
+# for the velocity gained meanwhile; the mean magnetic field, or its heading alone where its dip is not
+# known; and the orientation before the gap. Each counts by how uncertain it is, and the orientation that all
+# of them together make likeliest is the eigenvector of a symmetric 4 × 4 matrix (Davenport's q-method:
+# Markley & Mortari, J. Astronaut. Sci. 48, 2000; a prior rotation adds its own outer product).
 #
 # Unlike a filter that begins anew and corrects heading and inclination one after the other, no sample is ever
 # judged by what the inclination seemed to be when it came.
@@ -378,7 +399,7 @@ class Since(NamedTuple):
 
 
 def nothing_since() -> Since:
-    """At the return."""
+    """Return the sums at the return of a module, before any sample."""
     return Since(np.zeros((3, 3)), np.zeros(3), np.zeros(2), np.zeros(2))
 
 
@@ -386,9 +407,11 @@ def nothing_since() -> Since:
 def settle(
     before: Before, since: Since, q_is: FloatArray, f: FloatArray, x: FloatArray, dt: float
 ) -> tuple[FloatArray, float]:
-    """One more sample; q_wi (4,), and its standard deviation about the axis known worst, rad.
+    """Add one sample; return q_wi (4,) and its standard deviation about the axis known worst, rad.
 
-    q_is: (4,) by the gyroscopes. f, x: (3,) specific force and field, NaN where there is none. dt: s."""
+    q_is: (4,) by the gyroscopes. f, x: (3,) specific force and field, NaN where there is none. dt: s between
+    samples.
+    """
     if is_finite(f):
         t = since.seconds[0] + 0.5 * dt
         f_i = quaternion.rotate(q_is, f)
@@ -422,7 +445,7 @@ def _likeliest(before: Before, since: Since, dt: float) -> tuple[FloatArray, flo
     if norm(since.field) > 0.0 and (knows_dip or tilt_weight > 0.0):
         field = since.field / norm(since.field)
         sine = -dot(up, field)
-        # one that is not known tells the heading only
+        # a field whose dip is not known shows the heading only
         dip = before.dip if knows_dip else math.asin(max(-1.0, min(1.0, sine)))
         field_weight = 1.0 / FIELD_ERROR**2
         _add_pair(matrix, field_weight, field, vector(0.0, math.cos(dip), -math.sin(dip)))
@@ -434,10 +457,11 @@ def _likeliest(before: Before, since: Since, dt: float) -> tuple[FloatArray, flo
 
 @compiled
 def _up(before: Before, since: Since, dt: float) -> tuple[FloatArray, float]:
-    """Mean specific force in frame i, unit (3,), and how far it is from the vertical, rad.
+    """Return the mean specific force in frame i, unit (3,), and how far it is from the vertical, rad.
 
     Velocities are bounded, so a plain mean errs by (v₁ − v₀) / t; one that fades in and out (6 s (1 − s), s
-    from 0 to 1) leaves less of what swings, once it spans a swing."""
+    from 0 to 1) leaves less of what swings, once it spans a swing.
+    """
     t = since.seconds[0]
     n = t / dt
     mean = since.force[0] / n
@@ -456,7 +480,7 @@ def _up(before: Before, since: Since, dt: float) -> tuple[FloatArray, float]:
 
 @compiled
 def _add_pair(matrix: FloatArray, weight: float, b: FloatArray, r: FloatArray) -> None:
-    """Add what makes qᵀ K q the weighted cosine between r and b turned by q; b, r: (3,) unit."""
+    """Add a pair of unit vectors, (3,), to K: qᵀ K q is the weighted cosine between r and b turned by q."""
     trace = weight * dot(b, r)
     matrix[0, 0] += trace
     for i in range(3):
@@ -472,9 +496,11 @@ def _add_pair(matrix: FloatArray, weight: float, b: FloatArray, r: FloatArray) -
 
 @compiled
 def _dominant(matrix: FloatArray, bound: float) -> FloatArray:
-    """Unit eigenvector of the largest eigenvalue of a symmetric (4, 4) matrix, none of which is below -bound.
+    """Return the unit eigenvector of the largest eigenvalue of a symmetric (4, 4) matrix.
 
-    By squaring it again and again, made positive: what is largest outgrows the rest."""
+    No eigenvalue may be below −bound. The matrix, made positive, is squared again and again: its largest
+    eigenvalue outgrows the others.
+    """
     power = matrix + bound * np.eye(4)
     squared = np.empty((4, 4))
     for _ in range(_SQUARINGS):

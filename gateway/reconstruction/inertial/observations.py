@@ -34,7 +34,7 @@ class SegmentObserver:
         self._R_bs = sensor_to_segment_matrices(suit)
 
     def observe(self, imu_frame: ImuFrame) -> SegmentObservations:
-        """The frame by segment."""
+        """Return the frame by segment, in segment axes."""
         # copied, so that a read-only or strided array does not have the kernel compiled again
         rows = (imu_frame.specific_force, imu_frame.angular_rate, imu_frame.magnetic_field)
         f, w, x = (np.array(row, np.float64, order="C") for row in rows)
@@ -45,25 +45,31 @@ class SegmentObserver:
 
 
 def no_observations(n: int) -> SegmentObservations:
-    """Of n segments."""
+    """Return the observations of n segments without any sample."""
     f, w, x = (np.full((n, 3), np.nan) for _ in range(3))
     return SegmentObservations(f, w, x, np.full(n, MISSING, np.uint8), np.zeros(n, np.uint8))
 
 
 def clipped_of(imu_frame: ImuFrame) -> StatusArray:
-    """(n_modules,) ``Clipped`` sensors of a frame."""
+    """Return which sensors of a frame are at the end of their ranges, (n_modules,) ``Clipped``.
+
+    None is if the frame has no such field.
+    """
     if imu_frame.clipped is None:
         return np.zeros(len(imu_frame.status), np.uint8)
     return np.array(imu_frame.clipped, np.uint8)
 
 
 def with_sun_as_field(imu_frame: ImuFrame, sun: SunSight) -> ImuFrame:
-    """The direction of the sun in the place of the magnetic field; its world vector is then ``sun.world``."""
+    """Return the frame with the sun's direction in the place of the magnetic field.
+
+    The world vector of that is ``sun.world``.
+    """
     return replace(imu_frame, magnetic_field=np.array(sun.direction, np.float64))
 
 
 def sensor_to_segment_matrices(suit: WornSuit) -> FloatArray:
-    """R_bs (n_segments, 3, 3)."""
+    """Return R_bs (n_segments, 3, 3), sensor to segment."""
     return np.stack([quaternion.to_matrix(quaternion.normalise(q)) for q in suit.sensor_to_segment])
 
 
@@ -78,9 +84,9 @@ def by_segment_into(
     status: StatusArray,
     clipped: StatusArray,
 ) -> None:
-    """Rows by module, (m, 3) and (m,), turned by R_bs (n, 3, 3) and sorted by segment.
+    """Fill ``observed`` with rows of modules, (m, 3) and (m,), turned by R_bs (n, 3, 3).
 
-    observed: of segments without module it must say so already; the others' rows are written.
+    Only rows of segments with a module are written; those of the others must be set beforehand.
     """
     for s in range(len(module_of_segment)):
         row = module_of_segment[s]

@@ -39,7 +39,7 @@ class Chain(NamedTuple):
 
 
 class ChainState(NamedTuple):
-    """All that is remembered from one instant to the next; by segment."""
+    """The state from one instant to the next; by segment."""
 
     n_orientations: IntArray  # successive orientations known, up to 2
     time_ns: IntArray  # of the last one
@@ -48,7 +48,7 @@ class ChainState(NamedTuple):
     rate: FloatArray  # (n, 3) between the last two
     covariance: FloatArray  # (n, 6, 6) of R and rate, where gyro_free is at work
     is_started: IntArray  # 1 where gyro_free has its two earlier orientations
-    has_measured: IntArray  # 1 where a measured rate is remembered
+    has_measured: IntArray  # 1 where a measured rate is kept
     measured_time_ns: IntArray
     measured_rate: FloatArray  # (n, 3)
 
@@ -75,7 +75,7 @@ class Pose(NamedTuple):
 
 
 def initial_state(n: int) -> ChainState:
-    """Nothing remembered."""
+    """Return the state of n segments before the first instant."""
     return ChainState(
         n_orientations=np.zeros(n, np.int64),
         time_ns=np.zeros(n, np.int64),
@@ -91,7 +91,7 @@ def initial_state(n: int) -> ChainState:
 
 
 class Instant(NamedTuple):
-    """What is known at one."""
+    """The inputs of one instant."""
 
     time_ns: int
     root_acceleration: FloatArray  # (3,) of the root's P, world, m/s²
@@ -107,7 +107,7 @@ def advance(
     longest_gap_s: float,
     now: Instant,
 ) -> tuple[ChainState, Pose]:
-    """One instant of the whole body: the state after it, and the pose."""
+    """Solve one instant of the whole body; return the state after it, and the pose."""
     state = _remembered(state, now.time_ns, longest_gap_s)
     motion = _undefined(len(chain.order))
     for s in chain.order:
@@ -124,7 +124,10 @@ def advance(
 
 @compiled
 def _remembered(state: ChainState, time_ns: int, longest_gap_s: float) -> ChainState:
-    """A copy without what is too old to take differences from, or not older than now at all."""
+    """Return a copy of the state without what is too old to take differences from.
+
+    What is not older than ``time_ns`` is left out as well.
+    """
     n_orientations, is_started = state.n_orientations.copy(), state.is_started.copy()
     has_measured = state.has_measured.copy()
     for s in range(len(n_orientations)):
@@ -164,7 +167,7 @@ def _undefined(n: int) -> Motion:
 
 @compiled
 def _carry_outward(chain: Chain, motion: Motion, s: int) -> None:
-    """Operator 1, and the same for positions."""
+    """Set acceleration and position of the segment's P from the segment it is entered from; operator 1."""
     n, L = chain.entered_from[s], chain.L[s]
     lever = derivatives.point_acceleration(motion.rate_derivative[n], motion.rate[n], L)
     motion.acceleration[s] = motion.acceleration[n] + rotation_matrix.rotate(motion.R[n], lever)
@@ -173,7 +176,11 @@ def _carry_outward(chain: Chain, motion: Motion, s: int) -> None:
 
 @compiled
 def _status_before_solving(chain: Chain, motion: Motion, observed: SegmentObservations, s: int) -> int:
-    """MISSING cuts the chain: nothing beyond the segment is defined either."""
+    """Return the status of a segment as far as it is known before its orientation is.
+
+    MISSING cuts the chain: nothing beyond the segment is defined either. WARMING_UP: its joint's acceleration
+    is not yet defined.
+    """
     n = chain.entered_from[s]
     if observed.status[s] > INTERPOLATED or not is_finite(observed.magnetic_field[s]):
         return MISSING
@@ -184,7 +191,10 @@ def _status_before_solving(chain: Chain, motion: Motion, observed: SegmentObserv
 
 @compiled
 def _measure_rate(state: ChainState, motion: Motion, rate: FloatArray, s: int, time_ns: int) -> None:
-    """Operator 4 with gyroscopes."""
+    """Set the measured rate of a segment and, from the last one, its derivative.
+
+    Operator 4 with gyroscopes.
+    """
     if not is_finite(rate):
         state.has_measured[s] = 0
         return
@@ -205,7 +215,7 @@ def _solve(
     now: Instant,
     s: int,
 ) -> None:
-    """Operators 2 to 4 for one segment."""
+    """Solve one segment, operators 2 to 4."""
     has_gyroscopes = is_finite(motion.rate[s])
     if chain.on_joint[s] or has_gyroscopes:
         f = now.observed.specific_force[s]
@@ -228,7 +238,10 @@ def _solve(
 def _difference_orientations(
     state: ChainState, motion: Motion, s: int, time_ns: int, use_differences: bool
 ) -> None:
-    """Operator 4 without gyroscopes; remembers the orientation either way."""
+    """Set rate and its derivative by differences of orientations, operator 4 without gyroscopes.
+
+    With ``use_differences`` False only the state is updated, in case the gyroscopes fail later.
+    """
     R, n = motion.R[s], state.n_orientations[s]
     dt = (time_ns - state.time_ns[s]) * 1e-9
     rate = np.full(3, np.nan)
@@ -253,7 +266,10 @@ def _advance_gyro_free(
     instant: Instant,
     s: int,
 ) -> None:
-    """Operators 3 and 4. At the instant of the start itself the given rotation is the result."""
+    """Solve one segment without gyroscopes whose module is off the joint, operators 3 and 4.
+
+    At the instant of the start itself the given rotation is the result.
+    """
     now = Rotation(state.R[s], state.rate[s], np.zeros(3), state.covariance[s])
     dt = (instant.time_ns - state.time_ns[s]) * 1e-9
     if dt > 0.0:
@@ -277,7 +293,7 @@ def _advance_gyro_free(
 
 @compiled
 def _pose(chain: Chain, motion: Motion) -> Pose:
-    """From P to the proximal joint of every segment, matrices to quaternions."""
+    """Return the pose: motion moved from P to the proximal joints, matrices as quaternions."""
     n = len(chain.order)
     q_wb = np.full((n, 4), np.nan)
     acceleration, p_w = motion.acceleration.copy(), motion.position.copy()
@@ -359,7 +375,7 @@ class Told(NamedTuple):
 def next_rotation(
     before: Rotation, dt_before: float, dt: float, told: Told, U: FloatArray, weights: Weights
 ) -> Rotation:
-    """The orientation at t_k from the one before and the module's reading.
+    """Return the orientation at t_k from the one before and the module's reading.
 
     U (3,) joint to module. dt: t_k − t_{k−1}, dt_before: t_{k−1} − t_{k−2}, s.
     """
@@ -392,7 +408,10 @@ def next_rotation(
 def _predicted_covariance(
     P: FloatArray, turn: FloatArray, w: FloatArray, dt: float, dt_middles: float, weights: Weights
 ) -> FloatArray:
-    """(9, 9), of (δ_k, ν_k, ω̇_k): ν_k = ν_{k−1} + Δt ω̇_k, δ_k = turnᵀ δ_{k−1} + Δt J ν_k."""
+    """Return the covariance (9, 9) of (δ_k, ν_k, ω̇_k).
+
+    ν_k = ν_{k−1} + Δt ω̇_k and δ_k = turnᵀ δ_{k−1} + Δt J ν_k.
+    """
     J = np.eye(3) - 0.5 * dt * skew(w)
     F, Q = np.zeros((9, 9)), np.zeros((9, 9))  # F: from (δ_{k−1}, ν_{k−1}, ω̇_k)
     _put(F, 0, 0, turn.T, 1.0)
@@ -410,7 +429,10 @@ def _predicted_covariance(
 def _with_row(
     correction: FloatArray, P: FloatArray, row: FloatArray, residual: float, sigma: float
 ) -> tuple[FloatArray, FloatArray]:
-    """One row more in the least squares; (9,) and (9, 9). Rows with independent errors may come singly."""
+    """Return correction (9,) and covariance (9, 9) after one more row of the least squares.
+
+    Rows whose errors are independent may come one by one.
+    """
     Ph = np.zeros(9)
     for i in range(9):
         for j in range(9):
@@ -428,7 +450,7 @@ def _with_row(
 
 @compiled
 def _product(A: FloatArray, B: FloatArray) -> FloatArray:
-    """A B, (9, 9); loops compile in a fraction of the time that a call of BLAS takes to compile."""
+    """Return A B, (9, 9). Loops compile in a fraction of the time that a call of BLAS takes to compile."""
     C = np.zeros((9, 9))
     for i in range(9):
         for j in range(9):
@@ -439,7 +461,7 @@ def _product(A: FloatArray, B: FloatArray) -> FloatArray:
 
 @compiled
 def _put(M: FloatArray, row: int, column: int, block: FloatArray, scale: float) -> None:
-    """Adds a scaled (3, 3) block to M, in place."""
+    """Add a scaled (3, 3) block to M, in place."""
     for i in range(3):
         for j in range(3):
             M[row + i, column + j] += scale * block[i, j]

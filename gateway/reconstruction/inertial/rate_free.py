@@ -67,7 +67,11 @@ class RateFreeReconstructor:
         delay_s: float = 0.0,
         settings: RateFreeSettings | None = None,
     ) -> None:
-        """delay_s: frames are given that much later, corrected by all that was seen meanwhile (0: causal)."""
+        """Create the reconstructor of a suit.
+
+        nominal_interval_s: between frames. delay_s: frames are returned that much later, corrected by all
+        that was seen meanwhile (0: causal).
+        """
         self._settings = settings or RateFreeSettings()
         self._interval_s = nominal_interval_s
         self._suit, self._n = suit, suit.skeleton.n_segments
@@ -97,9 +101,10 @@ class RateFreeReconstructor:
         self._waiting: deque[SkeletonFrame] = deque()
 
     def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
-        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``.
+        """Return the pose of one instant.
 
-        stood_s: not looked at; whether a module turns at rest is told here by force and field together.
+        Raises nothing: what is not defined is NaN, and ``status`` says why. stood_s: not used; rest is found
+        here by force and field together.
         """
         observed = self._observer.observe(observation)
         status = np.full(self._n, Status.MISSING, np.uint8)
@@ -109,7 +114,7 @@ class RateFreeReconstructor:
         return frame if self._length == 1 else self._delayed(frame)
 
     def _advance(self, s: int, observed: SegmentObservations, frame: ImuFrame) -> int:
-        """One segment; its status."""
+        """Advance the filter of one segment to the frame; return its status."""
         f, m = observed.specific_force[s], observed.magnetic_field[s]
         since_s = (frame.time_ns - self._last_ns[s]) * 1e-9
         if observed.status[s] > Status.INTERPOLATED:
@@ -136,7 +141,10 @@ class RateFreeReconstructor:
         return status
 
     def _hold(self, s: int, frame: ImuFrame, dt: float) -> None:
-        """What is known of the place and motion of the segment's one."""
+        """Add the rows of what is known of a segment's position and motion.
+
+        They come from its joint and its devices; without either it is held loosely.
+        """
         before = int(self._travel.entered_from[s])
         segments, shared = self._segments, self._shared
         if before >= 0 and self._last_ns[before] == frame.time_ns:
@@ -184,7 +192,10 @@ class RateFreeReconstructor:
         self._held_ns[s] = time_ns
 
     def _learn_lag(self, time_ns: int, known: Known) -> None:
-        """Where the root's module was tells how late its magnetometer is; all are taken to be alike."""
+        """Learn how late the root's magnetometer is from the position of its module.
+
+        All magnetometers are taken to be alike.
+        """
         state = self._segments[self._root]
         strength, up = state.values[one.STRENGTH : one.DISTURBANCE]
         see_place(
@@ -198,7 +209,10 @@ class RateFreeReconstructor:
         self._shared["late_s"] = lag_s(self._lag)
 
     def _catch(self, s: int, place: FloatArray, arm: FloatArray, time_ns: int) -> None:
-        """A segment that had no hold is put where it now is known to be."""
+        """Put a segment that had no hold where it is now known to be.
+
+        place: (3,) m, of the point at ``arm`` (3,) from the module.
+        """
         if (time_ns - self._held_ns[s]) * 1e-9 > self._settings.longest_hold_s:
             one.catch(self._segments, s, place, arm)
         self._held_ns[s] = time_ns
@@ -225,7 +239,7 @@ class RateFreeReconstructor:
         )
 
     def _root_place(self, q_wb: FloatArray) -> FloatArray:
-        """(3,) of the skeleton root's joint; the origin while it is not known."""
+        """Return the position (3,), m, of the skeleton root's joint; the origin while it is not known."""
         root = int(np.flatnonzero(self._suit.skeleton.parents < 0)[0])
         if np.isnan(q_wb[root, 0]):
             return np.zeros(3)
@@ -234,7 +248,10 @@ class RateFreeReconstructor:
         return place
 
     def _delayed(self, newest: SkeletonFrame) -> SkeletonFrame:
-        """The frame of one delay ago, corrected; sequence counts on."""
+        """Return the frame of one delay ago, corrected by all that was seen since.
+
+        Its sequence number is that of the newest.
+        """
         self._waiting.append(newest)
         if len(self._waiting) < self._length:
             blank = np.full_like(newest.q_wb, np.nan)
@@ -250,7 +267,7 @@ class RateFreeReconstructor:
         return replace(frame, sequence=newest.sequence, q_wb=q_wb, angular_rate=rate)
 
     def _compile(self, n_modules: int) -> None:
-        """A few frames, so that every kernel is compiled before the first real one comes."""
+        """Feed a few frames, so that every kernel is compiled before the first real one comes."""
         self.reset()
         up, field_, none = np.zeros((n_modules, 3)), np.zeros((n_modules, 3)), np.zeros((n_modules, 3))
         up[:, 2], field_[:, 1] = 9.8, 50.0
@@ -305,7 +322,7 @@ class Seen(Record):
 
 
 class LagSums(Record):
-    """What has been found."""
+    """The sums of the straight line."""
 
     interval_s: float  # of frames; constant
     at_rest: Vector  # −g; constant
@@ -314,7 +331,7 @@ class LagSums(Record):
 
 
 class LagFinder(NamedTuple):
-    """Everything remembered; changed in place."""
+    """The state; changed in place."""
 
     fit: Records[Weights]  # of the window's instants; constant
     instants: Records[Seen]  # those kept, the newest last
@@ -322,7 +339,7 @@ class LagFinder(NamedTuple):
 
 
 def lag_finder(interval_s: float, gravity: FloatArray) -> LagFinder:
-    """For frames that far apart, s; to be given to kernels. gravity: (3,) m/s²."""
+    """Return the state and tables of a lag finder for frames ``interval_s`` apart. gravity: (3,) m/s²."""
     half = max(FEWEST // 2, round(0.5 * WINDOW_S / interval_s))
     steps = np.arange(-half, half + 1, dtype=np.float64)
     fitted = np.linalg.pinv(np.stack([steps**0, steps, 0.5 * steps**2], axis=1))
@@ -337,7 +354,7 @@ def lag_finder(interval_s: float, gravity: FloatArray) -> LagFinder:
 
 @compiled
 def see_module(finder: LagFinder, time_s: float, f: FloatArray, m: FloatArray) -> None:
-    """Specific force and field of an instant, (3,) in segment axes."""
+    """Keep specific force (m/s²) and field (µT) of an instant, (3,) in segment axes."""
     instants, n = finder.instants, len(finder.instants)
     for k in range(n - 1):
         instants[k] = instants[k + 1]
@@ -351,9 +368,10 @@ def see_module(finder: LagFinder, time_s: float, f: FloatArray, m: FloatArray) -
 def see_place(
     finder: LagFinder, time_s: float, place: FloatArray, velocity: FloatArray, sigma: float, h: FloatArray
 ) -> None:
-    """Where the module was at time_s, not later than its newest instant.
+    """Take the position of the module at ``time_s``, not later than its newest instant, and update the sums.
 
-    place, velocity (3,) of the module, world; sigma: noise of the place, m; h (3,) µT.
+    place, velocity (3,) of the module, world; sigma: noise of the position, m; h (3,) µT. Without an instant
+    kept within half an interval of that time nothing changes.
     """
     n, length = len(finder.fit), len(finder.instants)
     for k in range(length - 1, n - 2, -1):
@@ -368,7 +386,10 @@ def see_place(
 
 @compiled
 def _take_window(finder: LagFinder, first: int, place_sigma: float, h: FloatArray) -> None:
-    """The instants of a window from ``first`` on; nothing unless all are whole and follow each other."""
+    """Add a window of instants from ``first`` on to the line's sums.
+
+    Nothing is added unless it is complete and without a gap.
+    """
     fit, sums, n, instants = finder.fit, finder.sums[0], len(finder.fit), finder.instants
     dt = (instants[first + n - 1].time_s - instants[first].time_s) / (n - 1)
     f, m, m_slope, u = np.zeros(3), np.zeros(3), np.zeros(3), sums.at_rest.copy()
@@ -382,9 +403,12 @@ def _take_window(finder: LagFinder, first: int, place_sigma: float, h: FloatArra
             m[i] += weights.value * seen.magnetic[i]
             m_slope[i] += weights.slope * seen.magnetic[i] / dt
             u[i] += weights.curvature * seen.place[i] / (dt * dt)
+
+    # the line f · m − (a − g) · h = −δ f · ṁ
     x, y = -dot(f, m_slope), dot(f, m) - dot(u, h)
     if not math.isfinite(x + y) or abs(dt - sums.interval_s) > 0.2 * sums.interval_s:
         return
+
     is_turning = abs(x) > TURNING * norm(f) * FIELD_NOISE * math.sqrt(slope_gain) / dt
     is_disturbed = abs(norm(m) - norm(h)) > FIELD_RANGE
     keep = math.exp(-dt / MEMORY_S)
@@ -400,6 +424,6 @@ def _take_window(finder: LagFinder, first: int, place_sigma: float, h: FloatArra
 
 @compiled
 def lag_s(finder: LagFinder) -> float:
-    """What has been found so far, s."""
+    """Return the lag found so far, s, between 0 and ``LONGEST_S``."""
     found: float = finder.sums[0].xy / (finder.sums[0].xx + 1.0 / PRIOR_S**2)
     return min(max(found, 0.0), LONGEST_S)

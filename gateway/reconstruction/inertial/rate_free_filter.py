@@ -10,7 +10,7 @@ vertical strength being learnt, plus a disturbance that forgets itself (the fiel
 Errors, 23: ``R = exp(θ) R̂`` (rad, world), ω, ω̇, v, p of the module, an arm (segment axes) by which the point
 is off its given place, horizontal and vertical strength of the field, disturbance of the field (world, µT).
 
-Fixed-lag smoothing: what was seen later corrects what was said before, by the modified Bryson–Frazier
+Fixed-lag smoothing: what was seen later corrects what was estimated before, by the modified Bryson–Frazier
 smoother (Bierman 1973): an adjoint ``λ`` runs backward through the rows and transitions that the filter has
 written down, and the orientation some time ago is corrected by ``−P λ``. Only products of matrices with
 vectors; nothing is inverted.
@@ -79,7 +79,7 @@ class Row(Record):
 
 
 class Segment(Record):
-    """Everything remembered of one segment, and what an instant observed."""
+    """The state of one segment, and the rows of an instant."""
 
     R: Matrix
     values: Errors  # the quantities that the errors belong to; the first three unused
@@ -143,7 +143,10 @@ def empty_segments(n: int) -> Records[Segment]:
 
 @compiled
 def begin(segments: Records[Segment], s: int, common: Records[Shared], f: FloatArray, m: FloatArray) -> bool:
-    """From the first sample, f and m (3,), if it tells an orientation; the field is as strong as measured."""
+    """Start a segment from its first sample, f and m (3,); return whether that defines an orientation.
+
+    The field is taken to be as strong as measured.
+    """
     segment, noise, h, x = segments[s], common[0].noise, common[0].magnetic_field, segments[s].values
     R = rotation_matrix.from_two_vectors(f, m, -common[0].gravity, h)
     if not math.isfinite(R.sum()):
@@ -172,7 +175,10 @@ def begin(segments: Records[Segment], s: int, common: Records[Shared], f: FloatA
 def see(
     segments: Records[Segment], s: int, common: Records[Shared], f: FloatArray, m: FloatArray, dt: float
 ) -> None:
-    """Over dt (s) to the instant of f and m (3,), segment axes, and the rows these give; m may be NaN."""
+    """Predict over dt (s) to the instant of f and m (3,), segment axes, and add the rows that these give.
+
+    m may be NaN.
+    """
     segment, shared = segments[s], common[0]
     _predict(segment, shared, f, dt)
     _watch(segment, shared.noise, f, m, dt)
@@ -184,7 +190,7 @@ def see(
 
 @compiled
 def _predict(segment: Segment, shared: Shared, f: FloatArray, dt: float) -> None:
-    """Over dt (s) to the instant of f (3,), segment axes; nothing is found yet."""
+    """Predict over dt (s) to the instant of f (3,), segment axes, and clear the rows and the errors found."""
     noise, g = shared.noise, shared.gravity
     x, R = segment.values, segment.R
     w, spin = x[RATE:SPIN].copy(), x[SPIN:VELOCITY].copy()
@@ -192,20 +198,26 @@ def _predict(segment: Segment, shared: Shared, f: FloatArray, dt: float) -> None
     after = rotation_matrix.multiply(turn, R)
     force = 0.5 * (rotation_matrix.rotate(R, segment.before) + rotation_matrix.rotate(after, f))
     a = force + g
+
     is_blind = segment.off_norm > noise.norm_tolerance + 2.0
     keep = math.exp(-dt / (noise.blind_rate_memory_s if is_blind else noise.rate_memory_s))
     keep_spin, keep_field = math.exp(-dt / noise.spin_memory_s), math.exp(-dt / noise.disturbance_memory_s)
     F = _transition(turn, force, keep, keep_spin, keep_field, dt)
+
+    # the state, from the mean specific force over the step
     x[PLACE:ARM] += x[VELOCITY:PLACE] * dt + a * (0.5 * dt * dt)
     x[VELOCITY:PLACE] += a * dt
     x[RATE:SPIN] = (w + spin * dt) * keep
     x[SPIN:VELOCITY] = spin * keep_spin
     x[DISTURBANCE:N] *= keep_field
+
     segment.R[:] = after
     segment.before[:] = f
     segment.F[:] = F
     segment.x[:] = 0.0
     segment.n_rows = 0
+
+    # its covariance: a segment turns the livelier, the more its specific force varies
     liveliness = noise.spin + noise.spin_per_force * math.sqrt(segment.force_square)
     spin_sigma = min(noise.largest_spin, liveliness)
     segment.P[:] = product_transposed(product(F, segment.P), F)
@@ -235,7 +247,7 @@ def _transition(
 
 @compiled
 def _watch(segment: Segment, noise: MotionNoise, f: FloatArray, m: FloatArray, dt: float) -> None:
-    """How lively force and field are, and how far the field's norm is off; m may be NaN."""
+    """Update how much force and field vary, and how far the field's norm is off; m may be NaN."""
     gain = 1.0 - math.exp(-dt / WATCH_S)
     segment.force_square = _watched(segment.mean_force, segment.force_square, f, gain)
     segment.field_square = _watched(segment.mean_field, segment.field_square, m, gain)
@@ -259,7 +271,10 @@ def _watched(mean: FloatArray, square: float, value: FloatArray, gain: float) ->
 
 @compiled
 def add_row(segment: Segment, H: FloatArray, residual: float, variance: float) -> None:
-    """One scalar observation ``residual = H e + noise``, H (N,); ``x`` gathers the errors found."""
+    """Add one scalar observation ``residual = H e + noise``, H (N,); ``x`` gathers the errors found.
+
+    Beyond ``MOST_ROWS`` an instant's observations are left out.
+    """
     k = segment.n_rows
     if k >= MOST_ROWS:
         return
@@ -286,7 +301,7 @@ def add_row(segment: Segment, H: FloatArray, residual: float, variance: float) -
 def add_vector(
     segment: Segment, H: FloatArray, residual: FloatArray, sigma: FloatArray, huber: float
 ) -> None:
-    """Three rows, H (3, N), of standard deviations sigma (3,), less trusted where they surprise."""
+    """Add three rows, H (3, N), of standard deviations sigma (3,); outliers get more variance."""
     P, x, distance = segment.P, segment.x, 0.0
     for i in range(3):
         off, variance = residual[i], sigma[i] ** 2
@@ -303,8 +318,10 @@ def add_vector(
 
 @compiled
 def _add_zero_rate(segment: Segment, noise: MotionNoise, dt: float) -> bool:
-    """The first rows of an instant: where force and field (or a disturbed field) have stood still for a
-    while, nothing turns."""
+    """Add rows of no rate and no angular acceleration while a segment is at rest; return whether it is.
+
+    It is at rest when force and field have hardly varied for a while; a field that is disturbed may vary.
+    """
     is_still = segment.force_square < STILL_FORCE**2
     is_still &= segment.field_square < STILL_FIELD**2 or segment.off_norm > noise.norm_tolerance
     segment.still_s = segment.still_s + dt if is_still else 0.0
@@ -319,7 +336,7 @@ def _add_zero_rate(segment: Segment, noise: MotionNoise, dt: float) -> bool:
 
 @compiled
 def _add_field(segment: Segment, shared: Shared, m: FloatArray) -> None:
-    """The field m (3,) µT, segment axes, as it was ``late_s`` ago."""
+    """Add the rows of the field m (3,) µT, segment axes, as it was ``late_s`` ago."""
     noise, north, delay = shared.noise, shared.north, shared.late_s
     v, w = segment.values, segment.values[RATE:SPIN]
     back = rotation_matrix.from_rotation_vector(w * -delay + v[SPIN:VELOCITY] * (0.5 * delay * delay))
@@ -340,7 +357,7 @@ def _add_field(segment: Segment, shared: Shared, m: FloatArray) -> None:
 
 @compiled
 def add_position(segments: Records[Segment], s: int, common: Records[Shared], known: Known) -> None:
-    """Where a point of the segment was some time ago."""
+    """Add the rows of the position of a point of the segment, ``age_s`` ago."""
     segment, age_s = segments[s], known.age_s
     v, R = segment.values, segment.R
     r = rotation_matrix.rotate(R, known.arm + v[ARM:STRENGTH])
@@ -355,7 +372,7 @@ def add_position(segments: Records[Segment], s: int, common: Records[Shared], kn
 
 @compiled
 def add_velocity(segments: Records[Segment], s: int, common: Records[Shared], known: Known) -> None:
-    """How fast a point of the segment moves."""
+    """Add the rows of the velocity of a point of the segment."""
     segment = segments[s]
     v = segment.values
     r = rotation_matrix.rotate(segment.R, known.arm)
@@ -371,9 +388,10 @@ def add_velocity(segments: Records[Segment], s: int, common: Records[Shared], kn
 
 @compiled
 def add_acceleration(segments: Records[Segment], s: int, common: Records[Shared], known: Known) -> None:
-    """How a point of the segment accelerates, gravity taken out.
+    """Add the rows of the acceleration of a point of the segment, gravity taken out.
 
-    That holds the orientation; place and velocity have nothing to hold them and count as zero.
+    They observe the orientation; velocity and position of the module are not observed by them and are set to
+    zero.
     """
     segment = segments[s]
     v = segment.values
@@ -402,7 +420,7 @@ def catch(segments: Records[Segment], s: int, place: FloatArray, arm: FloatArray
 
 @compiled
 def correct(segments: Records[Segment], s: int) -> None:
-    """Takes the errors found, ``x``, out of the state."""
+    """Correct the state by the errors found, ``x``, and make P symmetric."""
     segment = segments[s]
     P, x = segment.P, segment.x
     segment.R[:] = rotation_matrix.multiply(rotation_matrix.from_rotation_vector(x[:3]), segment.R)
@@ -413,12 +431,15 @@ def correct(segments: Records[Segment], s: int) -> None:
             P[i, j], P[j, i] = mean, mean
 
 
-# What a segment says of its points
+# Points of a segment
 
 
 @compiled
 def point(segments: Records[Segment], s: int, arm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where a point at ``arm`` (3,) from the module is, world, and the covariance (3, 3) of that."""
+    """Return the position (3,) of a point, world, m, and its covariance (3, 3).
+
+    arm: (3,) from the module, segment axes, m.
+    """
     state = segments[s]
     r = rotation_matrix.rotate(state.R, arm)
     J, K = np.zeros((3, 6)), skew(r)
@@ -441,10 +462,11 @@ def point(segments: Records[Segment], s: int, arm: FloatArray) -> tuple[FloatArr
 def at_joint(
     segments: Records[Segment], s: int, common: Records[Shared], U: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Orientation (4,); angular rate (3,), segment axes; acceleration (3,) of the joint, world; sigma of the
-    orientation, rad.
+    """Return orientation (4,), angular rate (3,), the joint's acceleration (3,) and sigma.
 
-    U (3,) joint to module, segment axes."""
+    The rate is in segment axes, rad/s, the acceleration in the world, m/s², sigma of the orientation, rad.
+    U (3,): joint to module, segment axes, m.
+    """
     g = common[0].gravity
     state = segments[s]
     w, arm = state.values[RATE:SPIN], rotation_matrix.rotate(state.R, -U)
@@ -457,7 +479,7 @@ def at_joint(
 
 @compiled
 def _dot_row(C: FloatArray, a: int, J: FloatArray, j: int) -> float:
-    """Row a of C (6, 6) times row j of J (3, 6)."""
+    """Return row a of C (6, 6) times row j of J (3, 6)."""
     total = 0.0
     for b in range(6):
         total += C[a, b] * J[j, b]
@@ -469,7 +491,7 @@ def _dot_row(C: FloatArray, a: int, J: FloatArray, j: int) -> float:
 
 @compiled
 def note(segments: Records[Segment], s: int, log: Records[LoggedInstant]) -> None:
-    """Writes an instant down in the segment's log, a ring."""
+    """Append the instant to the segment's log, a ring."""
     segment, now = segments[s], log[segments[s].log_next]
     now.F[:], now.P[:], now.R[:] = segment.F, segment.P[:6], segment.R
     now.rate[:] = segment.values[RATE:SPIN]
@@ -484,7 +506,7 @@ def note(segments: Records[Segment], s: int, log: Records[LoggedInstant]) -> Non
 def smoothed(
     segments: Records[Segment], s: int, log: Records[LoggedInstant]
 ) -> tuple[FloatArray, FloatArray]:
-    """Orientation (3, 3) and rate (3,), world, of the oldest instant kept, with all seen since."""
+    """Return orientation (3, 3) and rate (3,), world, of the oldest instant, corrected by all since."""
     length, segment = len(log), segments[s]
     adjoint = np.zeros(N)
     oldest = log[(segment.log_next - segment.log_kept) % length]
@@ -516,7 +538,7 @@ def smoothed(
 
 @compiled
 def product(A: FloatArray, B: FloatArray) -> FloatArray:
-    """A B; shapes (n, n), (n, n)."""
+    """Return A B; shapes (n, n), (n, n). Fast for an A that is mostly zeros."""
     n = A.shape[0]
     C = np.zeros((n, n))
     for i in range(n):
@@ -530,7 +552,7 @@ def product(A: FloatArray, B: FloatArray) -> FloatArray:
 
 @compiled
 def product_transposed(A: FloatArray, B: FloatArray) -> FloatArray:
-    """A Bᵀ; shapes (n, n), (n, n); for a B that is mostly zeros."""
+    """Return A Bᵀ; shapes (n, n), (n, n). Fast for a B that is mostly zeros."""
     n = A.shape[0]
     C = np.zeros((n, n))
     for j in range(n):

@@ -30,12 +30,18 @@ class Travel(NamedTuple):
     """(n_segments, 3) from the segment's P to its proximal joint, own axes, m; zero when entered there."""
 
     def arms(self, from_proximal: FloatArray) -> FloatArray:
-        """``U``: from P to places given from the proximal joint; (n_segments, 3), m."""
+        """Return ``U``, from P to places given from the proximal joint.
+
+        Both are (n_segments, 3), m, segment axes.
+        """
         return from_proximal + self.proximal
 
 
 def travel_from(skeleton: Skeleton, root: int, point: FloatArray) -> Travel:
-    """Travel outward from ``root``, whose P is at ``point`` (3,) from its proximal joint, own axes, m."""
+    """Return the tree as gone through from ``root``.
+
+    point: (3,) the root's P from its proximal joint, own axes, m.
+    """
     n = skeleton.n_segments
     order, entered_from = [root], np.full(n, -1, np.int64)
     link, entry = np.zeros((n, 3)), np.zeros((n, 3))
@@ -55,7 +61,7 @@ def travel_from(skeleton: Skeleton, root: int, point: FloatArray) -> Travel:
 
 
 def _neighbours(skeleton: Skeleton, segment: int) -> list[int]:
-    """Parent first, then children."""
+    """Return the parent of a segment, if it has one, and then its children."""
     parent = int(skeleton.parents[segment])
     children = [int(child) for child in np.flatnonzero(skeleton.parents == segment)]
     return [parent, *children] if parent >= 0 else children

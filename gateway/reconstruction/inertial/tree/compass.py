@@ -47,7 +47,10 @@ CUT_OFF = 1e6
 
 @compiled
 def follow_field(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Section 8: every module's compass ← by what its field shows."""
+    """Update the compass of every started module by the field it measures, section 8.
+
+    dt: s since the instant before.
+    """
     expected, world = work.shared.expected, body.world
     segments, works = state.segments, work.segments
     expect_field(expected, world, tuning, dt)
@@ -69,7 +72,7 @@ def follow_field(body: Body, state: State, tuning: Tuning, work: Work, dt: float
 
 @compiled
 def expect_field(expected: ExpectedField, world: World, tuning: Tuning, dt: float) -> None:
-    """For (27) to (31): ``expected`` ← for an instant dt (s) after the one before."""
+    """Set ``expected`` for an instant dt (s) after the one before, for equations (27) to (31)."""
     h = world.magnetic_field
     level, square = h[0] * h[0] + h[1] * h[1], dot(h, h)
     horizontal = max(level / square, tuning.least_horizontal**2)
@@ -87,10 +90,10 @@ def expect_field(expected: ExpectedField, world: World, tuning: Tuning, dt: floa
 def watch_field(
     segment: Segment, now: SegmentWork, world: World, expected: ExpectedField, tuning: Tuning, dt: float
 ) -> None:
-    """(27), (28), D of (31): ``now.field_off``, ``now.disturbance`` ← of a segment's field.
+    """Set ``now.field_off`` and ``now.disturbance`` of a segment; (27), (28) and D of (31).
 
-    How far norm and dip are from what they should be goes to ``segment.field_watch``: soon where that is more
-    than before, with the turning of the module where it is less.
+    The mean square by which norm and dip are wrong, ``segment.field_watch.error_square``, grows soon where
+    they are worse than before, and shrinks only as the module turns.
     """
     h, m, mean = world.magnetic_field, now.magnetic_field, segment.field_watch
     seen = _seen(segment.R, m)
@@ -110,7 +113,7 @@ def watch_field(
 
 @compiled
 def _seen(R: FloatArray, m: FloatArray) -> Three:
-    """R m."""
+    """Return R m: the field m (3,) in the world, as the filter has the segment, µT."""
     return (
         R[0, 0] * m[0] + R[0, 1] * m[1] + R[0, 2] * m[2],
         R[1, 0] * m[0] + R[1, 1] * m[1] + R[1, 2] * m[2],
@@ -122,7 +125,7 @@ def _seen(R: FloatArray, m: FloatArray) -> Three:
 def _watch_changes(
     mean: FieldWatch, length: float, dip: float, expected: ExpectedField, tuning: Tuning, dt: float
 ) -> None:
-    """n and d of (28): one norm (µT) and dip (rad) more."""
+    """Update means and momentary changes of norm and dip, n and d of (28), by one norm (µT) and dip (rad)."""
     if mean.seconds == 0.0:
         change = tuning.field_change
         mean.norm, mean.dip = length, dip
@@ -137,7 +140,11 @@ def _watch_changes(
 
 @compiled
 def _drift(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> None:
-    """(30): the filter's heading drifts as its gyroscopes are off, about axes that turn with the module."""
+    """Predict a compass over dt (s), equation (30).
+
+    The filter's heading drifts by the error of its gyroscope's bias, about an axis that turns with the
+    module.
+    """
     compass, R, P, w = segment.compass, segment.R, segment.P, segment.rate
     largest = 0.0  # variance of the bias about the vertical
     for i in range(3):
@@ -157,9 +164,10 @@ def _drift(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> Non
 
 @compiled
 def _look(compass: Compass, now: SegmentWork, bent: float, tuning: Tuning, dt: float) -> None:
-    """(31): one look at the field. How looks scatter about what is expected tells how much one is worth.
+    """Update a compass by one measurement of the field, equation (31).
 
-    bent: rad², what an uncertain tilt adds in a field that dips.
+    How measurements scatter about what is expected decides how much one is worth. bent: rad², what an
+    uncertain tilt adds in a field that dips.
     """
     if compass.seconds == 0.0:  # what stays off to the same side is as little off at the first look
         compass.angle, compass.covariance, compass.seconds = now.field_off, 0.0, dt
@@ -189,11 +197,15 @@ def _within_half_a_turn(angle: float) -> float:
 
 @compiled
 def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """(32): ``compass.error`` ← of each segment: what its filter, what motion has shown of an unobserved
-    heading so far, and all compasses together expect."""
+    """Set ``compass.error`` and ``error_variance`` of each segment, equation (32).
+
+    It is a least-squares compromise over the tree: between all compasses, what the filter knows of headings
+    against each other, and what motion has shown so far of unobserved ones.
+    """
     links, segments, works = body.segments, state.segments, work.segments
     _compare(links, segments, works, body.world.is_tree == 1, tuning)
     variance = _compass_variance(links, segments, works, tuning)
+    # (32) from leaves to root: what a segment and all beyond it say of its error
     for s in range(len(links) - 1, -1, -1):
         now, p = works[s], links[s].parent
         compass = segments[s].compass
@@ -204,6 +216,7 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
             now.told_angle += weight * now.unwrapped
             now.told_turn += weight * now.turn[2]
         is_first = segments[s].heading == UNOBSERVED or now.apart == CUT_OFF
+        # (32) without any compass: what hangs together turns by its share
         if variance == 0.0 and p >= 0 and is_first:
             now.told += 1.0 / give_of(segments[s], tuning)
         if p >= 0:
@@ -211,6 +224,7 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
             works[p].told += passed * now.told
             works[p].told_angle += passed * (now.told_angle - now.expected * now.told)
             works[p].told_turn += passed * now.told_turn
+    # (32) from root to leaves
     for s in range(len(links)):
         now, p, compass = works[s], links[s].parent, segments[s].compass
         if p >= 0:
@@ -233,9 +247,12 @@ def _compare(
     is_tree: bool,
     tuning: Tuning,
 ) -> None:
-    """``expected`` and a of (32), ``apart``: mean and variance of a heading's error less its parent's,
-    of a root's in the world, without compasses. ``unwrapped``: the compass, within half a turn of what the
-    parent's lets expect. Nothing is told yet."""
+    """Set ``expected``, ``apart`` and ``unwrapped`` of each segment for (32).
+
+    The sums of its compasses are reset. ``expected`` and ``apart`` are mean (rad) and variance (rad²) of the
+    heading's error less that of its parent, of a root in the world, without compasses. ``unwrapped`` is the
+    compass's angle within half a turn of what the parent's lets expect.
+    """
     started, has_compass, unknown = 0, False, tuning.unknown_heading**2
     for s in range(len(links)):
         started += segments[s].started == STARTED
@@ -251,7 +268,7 @@ def _compare(
         else:
             now.apart = give_of(segment, tuning)
             if has_compass:
-                # each segment began with a heading of which nothing is known; joined, they seem to know more
+                # each segment began with an unknown heading; joined, they seem to know more
                 known = 1.0 / max(segment.P[2, 2], LEAST_APART) - started / unknown
                 now.apart = 1.0 / max(known, 1e-3 / unknown)
         if segment.heading == UNOBSERVED:
@@ -266,7 +283,10 @@ def _compare(
 
 @compiled
 def _expect_unobserved(segment: Segment, now: SegmentWork, has_parent: bool, tuning: Tuning) -> None:
-    """``expected``, ``apart`` ← by what motion has shown until now, as far as its two sides agree."""
+    """Set ``expected`` and ``apart`` by what motion has shown of an unobserved heading.
+
+    That counts only where its two sides agree well enough.
+    """
     sums, unknown = segment.heading_sums, tuning.unknown_heading**2
     concentration = math.hypot(sums.along, sums.across)
     if has_parent:
@@ -282,10 +302,10 @@ def _expect_unobserved(segment: Segment, now: SegmentWork, has_parent: bool, tun
 def _compass_variance(
     links: Records[Link], segments: Records[Segment], works: Records[SegmentWork], tuning: Tuning
 ) -> float:
-    """Return V of (33), the variance of a compass, rad², the same for all: with weights that change, the mean
-    of compasses that are off differently would wander. 0: there is none.
+    """Return V of (33), the variance of a compass, rad²; 0 if there is none.
 
-    It is what norm and dip let expect, or more, where compasses differ that by the motion should not.
+    It is what norm and dip let expect, or more where compasses differ that by the motion should not. It is
+    the same for all: with weights that change, the mean of compasses that are off differently would wander.
     """
     seen, square, weights, differences = 0, 0.0, 0.0, 0.0
     for s in range(len(links)):
@@ -304,8 +324,11 @@ def _compass_variance(
 
 @compiled
 def _turn_root(compass: Compass, now: SegmentWork, variance: float, tuning: Tuning, dt: float) -> None:
-    """(34): ``compass.error`` ← of a root, so of all: at once while headings of its chain are found, then as
-    slowly as its gyroscope may drift; hardly at all where the field is wrong."""
+    """Set ``compass.error`` and ``error_variance`` of a root, and so of its whole chain, equation (34).
+
+    The error follows at once while headings of the chain are being found; later only as fast as the gyroscope
+    may drift, and hardly at all where the field is wrong.
+    """
     # the building's field is off for all alike too
     field = variance + 1.0 / now.told
     # a correction of the filter turns what is published by the filter's share alone

@@ -58,7 +58,7 @@ FORCE = Validity.FORCE.value
 
 @compiled
 def device_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Section 7: rows of all local devices; marks the segments that one of them aids."""
+    """Add the rows of all local devices and mark the segments that one of them aids, section 7."""
     time_s = work.shared.time_s
     for d in range(len(body.devices)):
         mount, device = body.devices[d], state.devices[d]
@@ -84,7 +84,10 @@ def device_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float)
 
 @compiled
 def has_spoken(device: Device, tuning: Tuning) -> bool:
-    """Whether a device has told something of late, as its readings follow each other."""
+    """Return whether a row has come from the device lately.
+
+    How lately depends on the time between its last two readings.
+    """
     n, longest_s = device.n_readings, tuning.device_aids_s
     if n > 1:
         longest_s = max(longest_s, 1.5 * (device.readings[n - 1].time_s - device.readings[n - 2].time_s))
@@ -93,13 +96,13 @@ def has_spoken(device: Device, tuning: Tuning) -> bool:
 
 @compiled
 def is_telling(device: Device, tuning: Tuning) -> bool:
-    """Whether a device tells more of the mean acceleration than that it is small, which (39) says anyhow."""
+    """Return whether the device shows the mean acceleration better than (39), that it is small, does."""
     return bool(device.fit_density < tuning.unaided_speed**2 / tuning.unaided_window_s)
 
 
 @compiled
 def _fixed_row(body: Body, state: State, tuning: Tuning, work: Work, d: int, dt: float) -> None:
-    """(14) with (18): a point of a segment that does not move."""
+    """Add the row of a point of a segment that does not move, equations (14) and (18)."""
     mount, device, shared = body.devices[d], state.devices[d], work.shared
     segment, now, pair = state.segments[mount.segment], work.segments[mount.segment], shared.pair
     # (18) u_s at the device, y = −g
@@ -115,7 +118,10 @@ def _fixed_row(body: Body, state: State, tuning: Tuning, work: Work, d: int, dt:
 
 @compiled
 def _moving_row(body: Body, state: State, tuning: Tuning, work: Work, d: int) -> None:
-    """(14), (25), (26): a point of a segment whose acceleration is told: ``work.shared.pair``."""
+    """Add the row of a point whose acceleration is measured; equations (14), (25) and (26).
+
+    ``work.shared.pair`` has its two sides.
+    """
     mount, device, shared = body.devices[d], state.devices[d], work.shared
     s, pair, learning = mount.segment, shared.pair, shared.learning
     segment, now = state.segments[s], work.segments[s]
@@ -149,7 +155,10 @@ def _moving_row(body: Body, state: State, tuning: Tuning, work: Work, d: int) ->
 
 @compiled
 def _variance_at_once(segment: Segment, now: SegmentWork, of_fit: float, tuning: Tuning) -> float:
-    """First factor of (26): of a single row of a moving point, (m/s²)²."""
+    """Return the first factor of (26), (m/s²)²: the variance of a single row of a moving point.
+
+    of_fit: the readings' part, (m/s²)².
+    """
     at_once = of_fit + tuning.specific_force**2 + (tuning.lever_arm * now.motion) ** 2
     at_once += segment.vibration.square
     return float(at_once)
@@ -157,7 +166,10 @@ def _variance_at_once(segment: Segment, now: SegmentWork, of_fit: float, tuning:
 
 @compiled
 def _level_only(u: FloatArray, y: FloatArray, world: World) -> None:
-    """Air velocity. Both sides turn with the segment: all that the row shows is where down is."""
+    """Reduce the two sides of an air velocity's row, in place, to what they show of the vertical.
+
+    Both sides turn with the segment, so a row of them shows nothing else.
+    """
     for i in range(3):
         u[i] += -y[i] - world.gravity[i]
         y[i] = world.at_rest[i]
@@ -165,7 +177,7 @@ def _level_only(u: FloatArray, y: FloatArray, world: World) -> None:
 
 @compiled
 def _observe_root(body: Body, state: State, tuning: Tuning, work: Work, s: int) -> None:
-    """(55): once shown, the heading against the world: turns the whole tree."""
+    """Turn the whole tree to the root's heading in the world once a device has shown that, equation (55)."""
     variance, angle = shown_heading(state.segments[s].heading_sums, tuning)
     if variance > 0.0:
         state.segments[s].heading = OBSERVED
@@ -181,10 +193,11 @@ LEAST_READINGS = 4
 
 @compiled
 def _choose_window(device: Device, kind: int, sigma: float, tuning: Tuning) -> float:
-    """Span (s) of the readings of a device: the less certain they are, the longer.
+    """Return the span of the device's readings for a fit, s: the less certain they are, the longer.
 
     n readings of standard deviation σ within T leave ``σ √(720 / n) / T²`` of an acceleration, of velocities
-    ``σ √(12 / n) / T``. Those of pressure tubes are as uncertain as the air is slow, and stay as they are.
+    ``σ √(12 / n) / T``. Air velocities and accelerations keep the shortest span. The span changes only where
+    the wanted one differs by more than the factor ``local_window_change``.
     """
     wanted, change = tuning.local_window_s, tuning.local_window_change
     if kind == POSITION:
@@ -202,7 +215,7 @@ def _choose_window(device: Device, kind: int, sigma: float, tuning: Tuning) -> f
 def take_reading(
     device: Device, kind: int, time_s: float, value: FloatArray, sigma: float, tuning: Tuning
 ) -> None:
-    """Keeps a reading of a device; those much denser than the window needs are passed over."""
+    """Keep a reading of a device, unless it follows the last one much sooner than the window needs."""
     readings, n = device.readings, device.n_readings
     window_s = _choose_window(device, kind, sigma, tuning)
     if n > 0:
@@ -224,7 +237,7 @@ def take_reading(
 
 @compiled
 def note_frame(device: Device, segment: Segment, now: SegmentWork, tuning: Tuning, time_s: float) -> None:
-    """Remembers what a device's segment felt, in axes that corrections need not turn: see ``Device.turn``."""
+    """Keep what a device's segment feels, in axes that corrections need not turn: see ``Device.turn``."""
     history, R, turn = device.history, segment.R, device.turn
     window_s = max(tuning.local_window_s, device.fit_span_s)
     if time_s - history[N_HISTORY - 1].time_s < window_s / tuning.local_frames:
@@ -249,11 +262,16 @@ def note_frame(device: Device, segment: Segment, now: SegmentWork, tuning: Tunin
 def find_local_pair(
     pair: LocalPair, device: Device, mount: Mount, world: World, tuning: Tuning, time_s: float
 ) -> bool:
-    """(24), (25): whether there is a new row; ``pair`` ← its sides, the fit's variance and span."""
+    """Set ``pair`` to both sides, variance and span of a new fit, (24) and (25).
+
+    Returns whether there is one.
+    """
     n, readings = device.n_readings, device.readings
     if device.is_waiting == 0 or n < LEAST_READINGS or readings[n - 1].time_s > time_s:
         return False
     device.is_waiting = 0
+
+    # the last readings that lie within the span, but no fewer than a fit needs
     first = max(0, n - LEAST_READINGS)
     reach = 1.05 * device.fit_span_s
     while first > 0 and readings[n - 1].time_s - readings[first - 1].time_s < reach:
@@ -263,6 +281,7 @@ def find_local_pair(
         t[k] = readings[first + k].time_s
         for i in range(3):
             values[k, i] = readings[first + k].value[i]
+
     order = 2 if mount.kind == POSITION else 1
     if mount.kind == ACCELERATION:
         _sum_up(t, values)
@@ -272,6 +291,7 @@ def find_local_pair(
     rotation_matrix.turn(device.turn, pair.u)
     rotation_matrix.turn_columns(device.turn, pair.arm)
     rotation_matrix.turn_columns(device.turn, pair.turn)
+
     pair.variance, pair.span_s = 0.0, t[len(t) - 1] - t[0]
     for i in range(3):
         pair.y[i] = -world.gravity[i]
@@ -288,7 +308,7 @@ def find_local_pair(
 
 @compiled
 def _sum_up(t: FloatArray, values: FloatArray) -> None:
-    """Accelerations (n, 3) to velocities, trapezoidal, from zero; in place."""
+    """Integrate accelerations (n, 3) at times t (s) to velocities, by the trapezoid, from zero, in place."""
     for i in range(3):
         before, values[0, i] = values[0, i], 0.0
         for k in range(1, len(t)):
@@ -298,7 +318,10 @@ def _sum_up(t: FloatArray, values: FloatArray) -> None:
 
 @compiled
 def derivative_weights(t: FloatArray, order: int) -> FloatArray:
-    """(24): w (n,) with Σ w_i p(t_i) the derivative of the polynomial of that order (1, 2) fitted to p."""
+    """Return weights w (n,) of (24): Σ w_i p(t_i) is the derivative of the polynomial fitted to p.
+
+    order: 1 or 2, of both the polynomial and its derivative.
+    """
     n, mean, squares, cubes, total = len(t), 0.0, 0.0, 0.0, 0.0
     for k in range(n):
         mean += t[k] / n
@@ -325,8 +348,11 @@ def _average_own_side(
     order: int,
     longest_gap_s: float,
 ) -> bool:
-    """(25): u and turn averaged with the fit's kernel, and the arm's matrix; whether the frames reach so
-    far."""
+    """Average u and turn of ``pair`` with the fit's kernel, and add up the arm's matrix, (25).
+
+    Returns False where the frames do not reach back to the first reading, or have a gap longer than
+    ``longest_gap_s``.
+    """
     total = 0.0
     for i in range(3):
         pair.u[i] = 0.0
@@ -370,7 +396,7 @@ def _add_share(pair: LocalPair, frame: PastFrame, share: float) -> None:
 
 @compiled
 def _reaches(history: Records[PastFrame], time_s: float) -> bool:
-    """Whether some remembered frame is as old."""
+    """Return whether the oldest frame kept is as old as that."""
     for j in range(N_HISTORY):
         if history[j].time_s > -np.inf:
             return bool(history[j].time_s <= time_s)
@@ -379,8 +405,10 @@ def _reaches(history: Records[PastFrame], time_s: float) -> bool:
 
 @compiled
 def _add_arm(arm: FloatArray, weight: float, history: Records[PastFrame], time_s: float, order: int) -> None:
-    """(25): arm (3, 3) += weight R, of velocities weight R [ω]×, at an instant: between frames linear, the
-    nearest one outside."""
+    """Add weight R, of velocities weight R [ω]×, at an instant to arm (3, 3), equation (25).
+
+    Linear between two frames; the nearest frame outside them.
+    """
     last = N_HISTORY - 1
     while last > 1 and history[last - 1].time_s >= time_s:
         last -= 1

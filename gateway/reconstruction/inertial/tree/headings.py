@@ -35,8 +35,11 @@ RATE = Validity.RATE.value
 
 
 def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
-    """(T, m + 1, 4) where modules see the sun, sensor axes, with its standard deviation; the last row: where
-    it stands in the world. (T, 0, 4) if none of the frames has it."""
+    """Return where the modules of each frame see the sun, (T, m + 1, 4).
+
+    A row is a direction in sensor axes and its standard deviation, rad. The last row is the sun's direction
+    in the world. (T, 0, 4) if none of the frames has it.
+    """
     if all(observation.sun is None for observation in observations):
         return np.zeros((len(observations), 0, 4))
     m = len(observations[0].status)
@@ -49,7 +52,7 @@ def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
 
 
 def sight_of(rows: FloatArray) -> SunSight | None:
-    """What one frame's rows, (m + 1, 4) or (0, 4), were stacked from; None: it had none."""
+    """Return the sight that one frame's rows, (m + 1, 4) or (0, 4), were stacked from; None: it had none."""
     if len(rows) == 0 or np.isnan(rows[-1, 0]):
         return None
     return SunSight(rows[-1, :3], rows[:-1, :3], rows[:-1, 3])
@@ -57,7 +60,10 @@ def sight_of(rows: FloatArray) -> SunSight | None:
 
 @compiled
 def take_sun(work: Work, module_of_segment: IntArray, R_bs: FloatArray, sun: FloatArray) -> None:
-    """Rows (m + 1, 4) of modules to segments, segment axes; those without module are left."""
+    """Copy the directions of the sun, (m + 1, 4), from modules to their segments, in segment axes.
+
+    Segments without a module are left as they are.
+    """
     m = len(sun) - 1
     for i in range(3):
         work.shared.sun[i] = sun[m, i]
@@ -70,7 +76,7 @@ def take_sun(work: Work, module_of_segment: IntArray, R_bs: FloatArray, sun: Flo
 
 @compiled
 def follow_sun(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """A row for every segment that sees the sun; an unobserved heading is turned to it."""
+    """Add a row for every segment that sees the sun, or turn an unobserved heading to it."""
     n, world = len(body.segments), work.shared.sun
     across = math.hypot(world[0], world[1])
     for s in range(n):
@@ -88,7 +94,10 @@ def follow_sun(body: Body, state: State, tuning: Tuning, work: Work, dt: float) 
 
 @compiled
 def _follow_sun(segment: Segment, now: SegmentWork, world: FloatArray, tuning: Tuning, dt: float) -> None:
-    """(35) of one segment; world: (3,) direction of the sun."""
+    """Add the row (35) of one segment, or turn it if its heading is not known well.
+
+    world: (3,) direction of the sun.
+    """
     across, heading_variance = math.hypot(world[0], world[1]), segment.P[2, 2]
     off, height_off = _sun_error(segment.R, now.sun, world)
     tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
@@ -109,7 +118,7 @@ def _follow_sun(segment: Segment, now: SegmentWork, world: FloatArray, tuning: T
 
 @compiled
 def _sun_error(R: FloatArray, sun: FloatArray, world: FloatArray) -> tuple[float, float]:
-    """Heading and height by which a direction (3,) in segment axes is off the sun, rad."""
+    """Return the heading and the height by which a direction (3,) in segment axes is off the sun, rad."""
     seen = rotation_matrix.rotate(R, sun)
     off = math.atan2(world[0] * seen[1] - world[1] * seen[0], world[0] * seen[0] + world[1] * seen[1])
     height = math.atan2(seen[2], math.hypot(seen[0], seen[1]))
@@ -118,7 +127,10 @@ def _sun_error(R: FloatArray, sun: FloatArray, world: FloatArray) -> tuple[float
 
 @compiled
 def _steady_turn(look: SunSums, off: float, tuning: Tuning, dt: float) -> float:
-    """The turn that brings an unknown heading to the sun, once it was seen steadily; 0: not yet."""
+    """Return the turn that brings an unknown heading to the sun, rad; 0: not yet.
+
+    The sun must have been seen steadily.
+    """
     decay = math.exp(-dt / tuning.sun_look_memory_s)
     look.along = look.along * decay + math.cos(off) * dt
     look.across = look.across * decay + math.sin(off) * dt
@@ -128,4 +140,4 @@ def _steady_turn(look: SunSums, off: float, tuning: Tuning, dt: float) -> float:
         return 0.0
     angle = -math.atan2(look.across, look.along)
     look.along, look.across, look.seconds = 0.0, 0.0, 0.0
-    return angle if angle != 0.0 else -1e-12
+    return angle if angle != 0.0 else -1e-12  # 0 means not yet

@@ -1,14 +1,15 @@
-"""Lever arms that were measured wrong: what of it shows in the motion is found out. Compiled.
+"""Learn errors of lever arms, as far as the motion shows them. Compiled.
 
 The two sides of a joint's row are ``force + K r`` with the filtered lever-arm matrix
 ``K = R ([ω̇]× + [ω]×²)``. Arms that are off by ``e`` leave ``u − u_p = … − K e + K_p e_p``: linear in e with
-coefficients that the motion changes all the time, so orientation and arms can be told apart. Each joint has
-a small Kalman filter of its own for its six components; the orientation error enters it as noise that stays
-for a while, and what the arms are still uncertain of enters the orientation's rows. Directions that never
-show stay as measured. Where a segment has a local device, the place of that on it is found in the same way,
-and the constant error ``b`` of the accelerometer shows too, as ``R b`` averaged as the row is; between two
-modules it does not show well enough to be of use.
-A joint's rows are correlated over the low-pass, so what they say of constants is asked every ``learn_s``.
+coefficients that the motion changes all the time, so errors of orientation and of arms can be separated. Each
+joint has a small Kalman filter of its own for its six components; the orientation error enters it as noise
+that stays for a while, and what the arms are still uncertain of enters the orientation's rows. Directions
+that never show stay as measured. Where a segment has a local device, the place of that on it is found in the
+same way, and the constant error ``b`` of the accelerometer shows too, as ``R b`` averaged as the row is;
+between two modules it does not show well enough to be of use.
+
+A joint's rows are correlated over the low-pass, so constants are learnt from them only every ``learn_s``.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ Symmetric = tuple[float, float, float, float, float, float]
 
 @compiled
 def own_covariance(segment: Segment) -> Symmetric:
-    """D of (16) for a known vector: of the orientation error of a segment, world axes, rad²."""
+    """Return D of (16) for a known vector: covariance of a segment's orientation error, world axes, rad²."""
     P = segment.P
     return P[0, 0], P[1, 1], P[2, 2], P[1, 2], P[0, 2], P[0, 1]
 
 
 @compiled
 def relative_covariance(child: Segment, parent: Segment) -> Symmetric:
-    """D of (16): of the orientation error of a segment against that of its parent, world axes, rad²."""
+    """Return D of (16): covariance of a segment's orientation error less its parent's, world axes, rad²."""
     P, P_p, C = child.P, parent.P, child.C
     return (
         P[0, 0] + P_p[0, 0] - C[0, 0] - C[0, 0],
@@ -57,7 +58,10 @@ def relative_covariance(child: Segment, parent: Segment) -> Symmetric:
 
 @compiled
 def spread(x: float, y: float, z: float, D: Symmetric) -> Three:
-    """(16): diagonal of ``[v]× D [v]×ᵀ``, v = (x, y, z): what an uncertain orientation makes of a vector."""
+    """Return the diagonal of S of (16), ``[v]× D [v]×ᵀ`` with v = (x, y, z).
+
+    It is the variance that an orientation of covariance D gives to the components of a vector.
+    """
     xx, yy, zz, yz, xz, xy = D
     return (
         z * z * yy - 2.0 * y * z * yz + y * y * zz,
@@ -68,22 +72,25 @@ def spread(x: float, y: float, z: float, D: Symmetric) -> Three:
 
 @compiled
 def is_due(child: Segment, tuning: Tuning, dt: float) -> bool:
-    """Whether the joint of a segment with its parent is asked about its lever arms at this instant."""
+    """Return whether the lever arms between a segment and its parent are to be learnt now.
+
+    Counts the time since they last were; the limit leaves room for frames that jitter.
+    """
     child.arms.since_s += dt
     return bool(not child.arms.since_s < 0.9 * tuning.learn_s)  # frames jitter
 
 
 @compiled
 def learn_joint_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> None:
-    """(41) to (43), (46): correct the joint's ``arms`` and, in place, its sides ``u`` and ``u_parent``, where
-    ``is_due``.
+    """Correct the joint's ``arms`` and its sides ``u`` and ``u_parent``; (41) to (43), (46).
 
-    ``arms.row_variance`` ← what the arms' uncertainty adds to a component of a single row, whose own variance
-    is ``learning.at_once``.
+    Called where ``is_due``. ``arms.row_variance`` is set to what the arms' uncertainty adds to a component of
+    a single row, whose own variance is ``learning.at_once``.
     """
     link, child, parent, now, above = joint
     arms, u, u_p, K, K_p = child.arms, now.u, now.u_parent, now.K, above.K
     interval_s = min(arms.since_s, tuning.row_memory_s)
+    # at first joints are staggered, so that no frame has the work of all
     arms.since_s = 0.0 if math.isfinite(arms.since_s) else -dt * link.phase
     for i in range(3):
         for j in range(3):
@@ -108,8 +115,11 @@ def learn_joint_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float
 def learn_fixed_point(
     device: Device, segment: Segment, now: SegmentWork, shared: SharedWork, tuning: Tuning, dt: float
 ) -> float:
-    """(44): correct ``device.shift`` of a fixed point, at which ``pair.u`` must be the known ``pair.y``, and
-    ``segment.force_bias``; ``pair.u`` in place. Returns what their uncertainty adds to the row, (m/s²)²."""
+    """Correct ``device.shift`` of a fixed point and ``segment.force_bias``, equation (44).
+
+    ``pair.u`` must equal the known ``pair.y`` there, and is corrected in place. Returned is what the
+    uncertainty of both adds to the row's variance, (m/s²)².
+    """
     rows = shared.learning.rows
     for i in range(3):
         for j in range(3):
@@ -122,7 +132,11 @@ def learn_fixed_point(
 def learn_device(
     device: Device, segment: Segment, shared: SharedWork, tuning: Tuning, interval_s: float
 ) -> float:
-    """(44) of a device that tells every ``interval_s`` how its point moves."""
+    """Correct ``device.shift`` and ``segment.force_bias`` by a moving point, equation (44).
+
+    interval_s: time between its rows. Returns what the uncertainty of both adds to the row's variance,
+    (m/s²)². The frames kept for the next fits are corrected by the accelerometer's error as well.
+    """
     rows, pair = shared.learning.rows, shared.pair
     for i in range(3):
         for j in range(3):
@@ -141,8 +155,7 @@ def learn_device(
 
 @compiled
 def _averaged_turn(segment: Segment, tuning: Tuning, i: int, j: int) -> float:
-    """R̄ of (44): an element of R through the low-pass, whose derivative went through it as the lever-arm
-    matrix."""
+    """Return an element of R̄ of (44), R through the low-pass of the lever-arm matrix."""
     return float(segment.R[i, j] - tuning.smoothing_s * segment.averages.lever_arm_matrix[i, j])
 
 
@@ -150,7 +163,11 @@ def _averaged_turn(segment: Segment, tuning: Tuning, i: int, j: int) -> float:
 def _learn_point(
     device: Device, segment: Segment, shared: SharedWork, tuning: Tuning, interval_s: float
 ) -> float:
-    """(43) to (45) by ``learning.rows``: columns of the arm, of the accelerometer's error."""
+    """Correct shift and accelerometer by ``learning.rows``, equations (43) to (45).
+
+    Columns: the arm, the accelerometer's error. Returns what their uncertainty adds to the row's variance,
+    (m/s²)².
+    """
     learning, u, y = shared.learning, shared.pair.u, shared.pair.y
     change, averages = learning.change, segment.averages
     off = spread(y[0], y[1], y[2], own_covariance(segment))
@@ -172,11 +189,11 @@ def _learn_point(
 
 @compiled
 def learn_rows(P: FloatArray, learning: Learning, huber: float) -> float:
-    """(42), (43), (46): ``learning.change`` ← three scalar updates by its rows and their residuals; P (6, 6)
-    changes in place. Returns the mean variance that P meant for a component beforehand.
+    """Set ``learning.change`` by three scalar updates, equations (42) and (43); P (6, 6) changes in place.
 
-    P itself is changed once, by all three: a row's gain is that by the first P less its shares in the gains
-    of the rows before it.
+    Returns the mean variance that P gave to a component of the row beforehand, (46). P itself is changed
+    once, by all three rows: a row's gain is that by the first P less its shares in the gains of the rows
+    before it.
     """
     rows, gains, scaled, found = learning.rows, learning.gains, learning.scaled, learning.found
     added, variance, at_once, memory = 0.0, learning.variance, learning.at_once, learning.memory
@@ -212,6 +229,6 @@ def learn_rows(P: FloatArray, learning: Learning, huber: float) -> float:
 
 @compiled
 def _dot_six(a: FloatArray, b: FloatArray) -> float:
-    """a · b; shapes (6,), (6,)."""
+    """Return a · b; shapes (6,), (6,)."""
     product: float = (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
     return product

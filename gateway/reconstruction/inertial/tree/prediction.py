@@ -46,9 +46,9 @@ FORCE, NOTHING, RATE, SATURATED_RATE = (
 
 @compiled
 def judge_samples(work: Work, tuning: Tuning) -> None:
-    """``validity`` of each segment ← what of its module's sample counts.
+    """Set ``validity`` of each segment to what of its module's sample counts.
 
-    A sensor is at the end of its range where its module says so, and at the largest range there is.
+    A sensor is at the end of its range where its module says so, and at the largest range of any sensor.
     """
     works = work.segments
     for s in range(len(works)):
@@ -65,13 +65,13 @@ def judge_samples(work: Work, tuning: Tuning) -> None:
 
 @compiled
 def exceeds(v: FloatArray, limit: float) -> bool:
-    """Whether a component of v (3,) is that large."""
+    """Return whether a component of v (3,) reaches the limit, either way."""
     return bool(abs(v[0]) >= limit or abs(v[1]) >= limit or abs(v[2]) >= limit)
 
 
 @compiled
 def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Section 3: turn every started segment over dt by its mean rate, in place."""
+    """Turn every started segment over dt (s) and propagate its covariances, section 3."""
     links, segments, works = body.segments, state.segments, work.segments
     for s in range(len(links)):
         segment, now, parent = segments[s], works[s], links[s].parent
@@ -102,7 +102,7 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
 
 @compiled
 def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
-    """(2), (5): ``now.mean_rate`` ← by the gyroscope; returns the density of its noise, (rad/s)²/Hz."""
+    """Set ``now.mean_rate`` by the gyroscope, (2); return its noise, (rad/s)²/Hz, (5)."""
     lasted_s, gap = _end_gap(segment, now, tuning, dt), segment.gap
     _mean_rate(segment, now, lasted_s)
     speed = norm(now.mean_rate)
@@ -128,8 +128,11 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
 
 @compiled
 def _end_gap(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
-    """Return the time since the sample that tells with this one how the segment has turned, s: dt, or more
-    where a gap is over, and ``now.bridged_s`` is its length."""
+    """Return the time since the sample with which this one gives the mean rate, s.
+
+    It is dt, or more where a gap ends. Where a gap ends, ``now.bridged_s`` is set to its length, else to 0.
+    The sample of a saturated gyroscope bridges no gap.
+    """
     gap, now.bridged_s = segment.gap, 0.0
     if gap.seconds == 0.0:
         return dt
@@ -146,10 +149,10 @@ def _end_gap(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> f
 
 @compiled
 def _bridge(segment: Segment, now: SegmentWork, tuning: Tuning, variance: float, lasted_s: float) -> float:
-    """(6) after a gap: ``now.mean_rate`` ← what turns the segment by all it has turned since the last sample,
-    less what it was turned by meanwhile; returns the variance that the step adds, rad².
+    """Set ``now.mean_rate`` where a gap ends, equation (6); return the variance that the step adds, rad².
 
-    variance: rad², of the gyroscope over ``lasted_s``.
+    The rate turns the segment by all it has turned since the last sample, less what the prediction has turned
+    it by meanwhile. variance: of the gyroscope over ``lasted_s``, rad².
     """
     gap, w, memory_s = segment.gap, now.mean_rate, tuning.longest_coast_s
     known_s = 2.0 * memory_s * math.tanh(lasted_s / (2.0 * memory_s))
@@ -165,7 +168,7 @@ def _bridge(segment: Segment, now: SegmentWork, tuning: Tuning, variance: float,
 
 @compiled
 def _rate_square(segment: Segment, tuning: Tuning) -> float:
-    """σ_dead² + ‖w‖² of (6), (rad/s)²."""
+    """Return σ_dead² + ‖w_0‖² of (6), (rad/s)²."""
     square = tuning.dead_rate**2
     for i in range(3):
         square += (segment.gap.rate[i] - segment.bias[i]) ** 2
@@ -174,7 +177,7 @@ def _rate_square(segment: Segment, tuning: Tuning) -> float:
 
 @compiled
 def coasted_square(segment: Segment, tuning: Tuning, seconds: float) -> float:
-    """V of (6), rad²: how far a segment is from where its fading rate has led it."""
+    """Return V of (6), rad²: how far a segment is from the predicted turn after ``seconds`` of silence."""
     memory_s = tuning.longest_coast_s
     t = seconds / memory_s
     faded = math.exp(-t)
@@ -183,9 +186,10 @@ def coasted_square(segment: Segment, tuning: Tuning, seconds: float) -> float:
 
 @compiled
 def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
-    """(6): ``now.mean_rate`` ← of a silent module; returns the density of its noise, (rad/s)²/Hz."""
+    """Set ``now.mean_rate`` of a silent module, (6); return its noise, (rad/s)²/Hz."""
     w, gap = now.mean_rate, segment.gap
     if gap.seconds == 0.0:
+        # the rate below fades: what bridges the gap needs that of the last sample
         for i in range(3):
             gap.rate[i], gap.turn[i] = segment.rate[i], 0.0
     for i in range(3):
@@ -202,11 +206,11 @@ def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> flo
 
 @compiled
 def _mean_rate(segment: Segment, now: SegmentWork, dt: float) -> None:
-    """(2): ``now.mean_rate`` ← what turns the segment over dt, rad/s: by its last three rates, error O(dt³)
-    of the angle.
+    """Set ``now.mean_rate``, rad/s, that turns the segment over dt (s), equation (2).
 
-    The trapezoid, less its error by Euler and Maclaurin's formula, and the coning of an axis that moves
-    (Bortz 1971). At 100 Hz the trapezoid alone is off by up to a degree in fast motion.
+    The angle's error is O(dt³). It is the trapezoid, less its error by Euler and Maclaurin's formula from the
+    last three rates, plus the coning of an axis that moves (Bortz 1971). At 100 Hz the trapezoid alone is off
+    by up to a degree in fast motion.
     """
     w, rate, bias, last, slope = (
         now.mean_rate, now.angular_rate, segment.bias, segment.rate, segment.rate_slope
@@ -225,7 +229,10 @@ def _mean_rate(segment: Segment, now: SegmentWork, dt: float) -> None:
 
 @compiled
 def propagate(P: FloatArray, R: FloatArray, R_other: FloatArray, dt: float) -> None:
-    """(4): P ← F P F_oᵀ with F = [[I, −R Δt], [0, I]], in place; P (6, 6), R (3, 3), R_other likewise."""
+    """Propagate a covariance in place, equation (4): P ← F P F_oᵀ with F = [[I, −R Δt], [0, I]].
+
+    P (6, 6), R (3, 3); F_o has R_other (3, 3) in the place of R.
+    """
     for j in range(6):
         x, y, z = dt * P[3, j], dt * P[4, j], dt * P[5, j]
         for i in range(3):
@@ -238,7 +245,10 @@ def propagate(P: FloatArray, R: FloatArray, R_other: FloatArray, dt: float) -> N
 
 @compiled
 def propagate_own(P: FloatArray, R: FloatArray, dt: float) -> None:
-    """(4) of a segment with itself: P (6, 6) is symmetric before and after, to the last bit."""
+    """Propagate a segment's own covariance in place, equation (4).
+
+    P (6, 6) stays symmetric to the last bit.
+    """
     for i in range(2, -1, -1):
         x, y, z = dt * R[i, 0], dt * R[i, 1], dt * R[i, 2]
         for j in range(i + 1):  # rows up to this one are as they were
@@ -253,7 +263,10 @@ def propagate_own(P: FloatArray, R: FloatArray, dt: float) -> None:
 
 @compiled
 def turn_segments(body: Body, state: State, work: Work) -> None:
-    """(1): R ← exp([δ]×) R by each segment's ``turn``; all that is remembered in world axes turns with it."""
+    """Turn each segment by its ``turn``, equation (1): R ← exp([δ]×) R.
+
+    All averages and readings that are kept in world axes turn with it.
+    """
     segments, works = state.segments, work.segments
     for s in range(len(segments)):
         now, segment = works[s], segments[s]
@@ -278,7 +291,10 @@ def turn_segments(body: Body, state: State, work: Work) -> None:
 
 @compiled
 def correct(state: State, work: Work) -> None:
-    """(1): ``turn`` ← δ, by which ``turn_segments`` then turns; b ← b + β."""
+    """Set ``turn`` to the orientation error δ found, and correct the bias, b ← b + β; equation (1).
+
+    ``turn_segments`` then applies the turn.
+    """
     segments, works = state.segments, work.segments
     for s in range(len(works)):
         now = works[s]
@@ -304,8 +320,10 @@ FIRST_SAMPLE_S = 1e-9
 
 @compiled
 def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Section 4: ``K`` and ``motion`` ← of each segment whose specific force counts; the averages in
-    place."""
+    """Set ``K`` and ``motion`` of each segment whose specific force counts, section 4.
+
+    The averages are updated in place.
+    """
     gain = 1.0 - math.exp(-dt / tuning.smoothing_s)
     long_gain = 1.0 - math.exp(-dt / tuning.unaided_window_s)
     segments, works = state.segments, work.segments
@@ -335,13 +353,16 @@ def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
 
 @compiled
 def is_short_gap(segment: Segment, now: SegmentWork, tuning: Tuning) -> bool:
-    """Whether a module that says nothing now has been silent for so short that its averages are bridged."""
+    """Return whether a module is silent, but so briefly that its averages are bridged."""
     return bool(now.validity == NOTHING and 0.0 < segment.gap.seconds <= tuning.longest_bridge_s)
 
 
 @compiled
 def _turn_into_world(segment: Segment, now: SegmentWork, shared: SharedWork) -> None:
-    """(7): ``f``, ``R f`` and ``W`` of a segment, free of the constant errors that are known."""
+    """Set f, R f and W of a segment in ``shared``, equation (7).
+
+    The known constant errors of its sensors are taken off.
+    """
     R, f, f_w, W = segment.R, shared.force, shared.force_world, shared.lever_arm_matrix
     x, y, z = (
         now.angular_rate[0] - segment.bias[0],
@@ -357,7 +378,7 @@ def _turn_into_world(segment: Segment, now: SegmentWork, shared: SharedWork) -> 
 
 @compiled
 def _lever_arm_matrix_into(W: FloatArray, R: FloatArray, x: float, y: float, z: float) -> None:
-    """(7): W ← R [(x, y, z)]×, rad/s."""
+    """Fill W (3, 3), rad/s, with R [(x, y, z)]×, equation (7)."""
     for i in range(3):
         W[i, 0] = R[i, 1] * z - R[i, 2] * y
         W[i, 1] = R[i, 2] * x - R[i, 0] * z
@@ -387,8 +408,10 @@ def _average_forces(segment: Segment, shared: SharedWork, gain: float, long_gain
 def _average_lever_arm_matrix(
     segment: Segment, now: SegmentWork, shared: SharedWork, per_s: float, gain: float
 ) -> None:
-    """(8), (9), (11): ``now.K``, ``now.motion`` ← by the average's own change, ``per_s`` of the
-    difference."""
+    """Set ``now.K`` and ``now.motion`` and update the average, equations (8), (9) and (11).
+
+    per_s: λ / (φ Δt) of (9), 1/s. gain: λ of (8).
+    """
     mean, W, K, square = segment.averages.lever_arm_matrix, shared.lever_arm_matrix, now.K, 0.0
     for i in range(3):
         for j in range(3):
@@ -405,10 +428,11 @@ def _average_lever_arm_matrix(
 def _bridge_averages(
     segment: Segment, now: SegmentWork, shared: SharedWork, tuning: Tuning, dt: float
 ) -> None:
-    """(8) to (11) of the sample that ends a gap: both sides went evenly from the sample before it to now.
+    """Apply (8) to (11) to the sample that ends a gap.
 
-    (9) holds for steps that are all alike. After a longer one K is carried on itself, and W̄ is what (9) would
-    have it for the next step of dt (s).
+    Both sides are taken to have gone evenly from the sample before the gap to this one. (9) holds for equal
+    steps only. After a longer one K itself is carried on, and W̄ is set to what (9) expects of it at the next
+    step of dt (s).
     """
     averages, W, last, lasted_s = segment.averages, shared.lever_arm_matrix, now.rotation, dt + now.bridged_s
     gain, long_gain = (
@@ -438,7 +462,7 @@ def _bridge_averages(
 
 @compiled
 def _filled(lasted_s: float, tuning: Tuning) -> float:
-    """φ of (9): part of the low-pass that has been filled since it was begun.
+    """Return φ of (9): the part of the low-pass that has been filled since it was begun.
 
     Divided by it, both sides are means over that time alone: what the averages were begun with is not in
     them, neither after a gap nor where a recording begins in motion.
@@ -452,8 +476,10 @@ def _filled(lasted_s: float, tuning: Tuning) -> float:
 def felt_into(
     u: FloatArray, force: FloatArray, K: FloatArray, arm: FloatArray, error: FloatArray, first: int
 ) -> None:
-    """(18): u (3,) m/s², world ← specific force at ``arm + error[first:]`` from a module that feels
-    ``force``."""
+    """Fill u (3,) with the specific force at ``arm + error[first:first + 3]``, m/s², world, equation (18).
+
+    force: of the module, averaged, world. arm, error: from the module, segment axes, m.
+    """
     for i in range(3):
         u[i] = force[i]
         for j in range(3):
@@ -462,7 +488,7 @@ def felt_into(
 
 # How much of what an accelerometer feels is vibration, or its own noise
 #
-# Rows of accelerations are as good as their modules are calm, and how calm they are nobody tells beforehand:
+# Rows of accelerations are as good as their modules are calm, and how calm they are is not known beforehand:
 # sensors differ by a factor of ten, and a strap on a machine or on loose clothing shakes. The fourth
 # difference of a motion that a suit follows is next to nothing, while noise that differs from sample to
 # sample is in it 70 times: ``1² + 4² + 6² + 4² + 1²``.
@@ -473,9 +499,9 @@ FOURTH_DIFFERENCE_GAIN = 70.0
 
 @compiled
 def watch_vibration(seen: Vibration, f: FloatArray, is_fresh: bool, tuning: Tuning, dt: float) -> None:
-    """(12): one specific force (3,) more, own axes, m/s²; is_fresh: none has come just before it.
+    """Update ``seen.square``, mean square vibration of a component, (m/s²)², equation (12).
 
-    ``seen.square`` ← the mean square of a component, (m/s²)².
+    f: (3,) own axes, m/s². is_fresh: no sample has come just before this one.
     """
     if is_fresh:
         seen.samples = 0.0
@@ -495,20 +521,23 @@ def watch_vibration(seen: Vibration, f: FloatArray, is_fresh: bool, tuning: Tuni
     seen.square += min(1.0, dt / tuning.vibration_memory_s) * (square - seen.square)
 
 
-# What the filter's own corrections say of its settings: whom it believes too much
+# What the filter's own corrections say of its settings: what it believes too much
 #
 # Corrections of a filter whose noises are right are new each time. One that believes its gyroscopes too much
 # corrects in the same direction again and again; one that believes its rows too much goes to and fro (Kailath
-# 1968, Mehra 1970). So the inclination's corrections, summed over half a second, are compared with those of
+# 1968, Mehra 1970). So the tilt's corrections, summed over half a second, are compared with those of
 # the half before. Where they go on, gyroscopes are taken to be off by part of what their rates change by from
 # sample to sample: sampled too slowly for the motion, or shaken. Where they go to and fro, as with modules
-# that move on their segments, joints count for less. Neither could be told beforehand. Headings are shown too
+# that move on their segments, joints count for less. Neither is known beforehand. Headings are shown too
 # slowly for that.
 
 
 @compiled
 def note_corrections(state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Of segments whose inclinations rows have shown."""
+    """Pass corrections of tilts to ``note_correction``.
+
+    Only segments count whose chain is aided and whose heading is observed.
+    """
     segments, works = state.segments, work.segments
     for s in range(len(works)):
         segment, now = segments[s], works[s]
@@ -518,7 +547,11 @@ def note_corrections(state: State, tuning: Tuning, work: Work, dt: float) -> Non
 
 @compiled
 def note_correction(seen: Corrections, x: float, y: float, tuning: Tuning, dt: float) -> None:
-    """(58) to (61). x, y: rotation about the horizontal world axes that a segment was given over dt, rad."""
+    """Update the noise inflations of gyroscope and joint rows by one correction, equations (58) to (61).
+
+    x, y: rotation about the horizontal world axes by which the segment was corrected, rad. dt: s since the
+    one before.
+    """
     now, before = seen.sums, seen.sums_before
     now[0] += x
     now[1] += y
@@ -544,12 +577,14 @@ def note_correction(seen: Corrections, x: float, y: float, tuning: Tuning, dt: f
 
 @compiled
 def gyroscope_inflation(segment: Segment, square: float, dt: float) -> float:
-    """Last term of (5), (rad/s)²/Hz, by which a gyroscope's noise is raised; square: of what its rate changed
-    by over dt."""
+    """Return the last term of (5), (rad/s)²/Hz, by which the gyroscope's noise is raised.
+
+    square: of the change of its rate over dt (s), (rad/s)².
+    """
     return float(segment.corrections.gyroscope * square * dt)
 
 
 @compiled
 def row_inflation(child: Segment, parent: Segment, tuning: Tuning) -> float:
-    """1 + 2 max(χ_s, χ_p) of (20): by which the variance of the joint between the two is raised."""
+    """Return 1 + 2 max(χ_s, χ_p) of (20), the factor on the variance of a joint's row."""
     return float(1.0 + tuning.row_inflation * max(child.corrections.rows, parent.corrections.rows))

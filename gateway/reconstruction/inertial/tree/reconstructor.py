@@ -58,7 +58,7 @@ class ChainSettings:
 
     tuning: Tuning = field(default_factory=tuning)
     uses_field: bool = True
-    """Whether the earth's field tells headings: weakly, the less the more its norm and dip are off."""
+    """Whether the earth's field leads headings; the more its norm and dip are off, the less."""
     longest_hold_s: float = 0.25
     """Age up to which a measured position of the root is passed on."""
 
@@ -109,7 +109,7 @@ class ChainReconstructor:
         self._place.reset()
 
     def state(self) -> dict[str, NDArray[np.generic]]:
-        """Return all that is remembered, as arrays."""
+        """Return all state, as arrays by name."""
         state = self._state
         filtered = {"segments": state.segments.copy(), "devices": state.devices.copy()}
         clock = np.array([state.clock.last_ns, state.clock.first_ns])
@@ -119,8 +119,10 @@ class ChainReconstructor:
         )
 
     def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
-        """Go on from a saved state: as if never interrupted, bit for bit. Raises ``ValueError`` if it is of
-        another body, or of another version of this filter."""
+        """Set a saved state, with which the filter goes on as if never interrupted, bit for bit.
+
+        Raises ``ValueError`` if it is of another body, or of another version of this filter.
+        """
         version = int(state["version"][0]) if "version" in state else 1
         if version != STATE_VERSION:
             raise ValueError(f"the saved state is of version {version}; this is version {STATE_VERSION}")
@@ -138,10 +140,13 @@ class ChainReconstructor:
         self._place.set_state(state)
 
     def certainty(self) -> dict[str, dict[str, float | str | None]]:
-        """Return by segment with a module that has spoken: standard deviations, rad, of its tilt, of its
-        heading in the world, and of its orientation against its parent (none for a root); and what shows its
-        heading, of a segment against its parent, of a root in the world: ``observed`` (motion, a device or
-        the sun does), ``by field`` (nothing but that), ``held`` (nothing; gyroscopes carry it on)."""
+        """Return how well each segment's orientation is known, by the names of segments that have started.
+
+        ``sigma_tilt``, ``sigma_heading`` (in the world) and ``sigma_relative`` (orientation against the
+        parent; None for a root) are standard deviations, rad. ``heading`` is what shows the heading, against
+        the parent or, of a root, in the world: ``observed`` (motion, a device or the sun), ``by field`` (the
+        field alone), ``held`` (gyroscopes alone).
+        """
         names, links, segments = self._suit.skeleton.segment_names, self._body.segments, self._state.segments
         found: dict[str, dict[str, float | str | None]] = {}
         for s in range(self._n):
@@ -171,7 +176,7 @@ class ChainReconstructor:
         return found
 
     def turned_back(self) -> ChainReconstructor:
-        """The same estimator, to go backward from where this one is; see ``smoothing``."""
+        """Return the same estimator, to go backward from where this one is; see ``smoothing``."""
         back = type(self)(self._suit, self._nominal_interval_s, self._settings)
         back._use(turned_back(self._state, self._settings.tuning, self._body.world.gravity))
         return back
@@ -185,9 +190,10 @@ class ChainReconstructor:
         """(1,) ns; of a record each attribute takes a microsecond."""
 
     def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
-        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``.
+        """Return the pose of one instant.
 
-        stood_s: (n_segments,) s for how long each has stood still, 0: not; see ``contacts``.
+        Raises nothing: what is not defined is NaN, and ``status`` says why. stood_s: (n_segments,) s for how
+        long each has stood still, 0: not; see ``contacts``.
         """
         if self._used == _FRAMES_AT_ONCE:
             self._room, self._used = room_for(_FRAMES_AT_ONCE, self._n), 0
@@ -213,10 +219,11 @@ class ChainReconstructor:
         stood_s: FloatArray | None = None,
         covariance: FloatArray | None = None,
     ) -> list[SkeletonFrame]:
-        """Instants in time order, in one call: the same as ``update`` of each, bit for bit, and faster.
+        """Return the poses of instants in time order.
 
-        stood_s: (T, n_segments) as there. covariance: (T, n_segments, 2, 3, 3) is filled with that of
-        the orientation errors, world axes, rad²: the estimate's own, and as ``sigma`` tells it.
+        They are the same as by ``update`` of each, bit for bit, but found faster. stood_s: (T, n_segments) as
+        there. covariance: (T, n_segments, 2, 3, 3) is filled with that of the orientation errors, world axes,
+        rad²: the estimate's own, and the one that ``sigma`` is made of.
         """
         if not observations:
             return []
@@ -230,7 +237,7 @@ class ChainReconstructor:
         stood_s: FloatArray,
         covariance: FloatArray | None = None,
     ) -> Poses:
-        """The same in arrays. frames: the observations."""
+        """Return the same as ``update_many`` in arrays. frames: the observations, stacked."""
         wanted = self._no_covariance if covariance is None else covariance
         room = room_for(len(observations), self._n)
         is_one = len(observations) == 1
@@ -244,8 +251,10 @@ class ChainReconstructor:
         )
 
     def _inputs_of_one(self, observation: ImuFrame) -> Inputs:
-        """In arrays made once, where the frame has no more than they hold: live, making them takes longer
-        than the filter of some segments."""
+        """Return the kernel's inputs of one frame, in arrays made once where they are large enough.
+
+        Live, making arrays takes longer than the filter of some segments.
+        """
         rows = self._rows_of(observation, self._first_ns(observation)) if observation.local else []
         if observation.sun is not None or self._measures_place or len(rows) > READINGS_AT_ONCE:
             return self._inputs((observation,), stacked((observation,)))
@@ -286,12 +295,12 @@ class ChainReconstructor:
         return np.array(rows, np.float64).reshape(-1, 8), np.array(ends, np.int64)
 
     def _first_ns(self, observation: ImuFrame) -> int:
-        """When the filter's seconds begin, if this may be its first frame."""
+        """Return when the filter's seconds begin, ns: the observation's time, if this is the first frame."""
         first_ns = int(self._began[0])
         return observation.time_ns if first_ns == NEVER_NS else first_ns
 
     def _rows_of(self, observation: ImuFrame, first_ns: int) -> list[tuple[float, ...]]:
-        """What the filter's devices say, each as a row of ``Inputs.readings``."""
+        """Return the readings of the filter's devices, each as a row of ``Inputs.readings``."""
         return [
             (
                 d,
@@ -305,7 +314,7 @@ class ChainReconstructor:
         ]
 
     def _root_positions(self, observations: Sequence[ImuFrame]) -> FloatArray:
-        """(T, 3) where the device that measures a place is; without one, zeros."""
+        """Return where the device that measures a position is, (T, 3) m; without such a device, zeros."""
         positions = np.zeros((len(observations), 3))
         if self._measures_place:
             latest_ns = int(self._state.clock.last_ns)

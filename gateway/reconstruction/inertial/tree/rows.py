@@ -57,7 +57,10 @@ FORCE, NOTHING = Validity.FORCE.value, Validity.NOTHING.value
 def known_row(
     now: SegmentWork, segment: Segment, u: FloatArray, y: FloatArray, variance: float, tuning: Tuning
 ) -> None:
-    """(14): a vector u of the segment that is known in the world: y; (3,)."""
+    """Add the row of a vector u (3,) of the segment that must equal y (3,) in the world, equation (14).
+
+    variance: of each component, before outliers are weighed down by (17).
+    """
     residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
     uncertain = spread(y[0], y[1], y[2], own_covariance(segment))
     variance *= _huber(uncertain, residual, variance, tuning.huber)
@@ -66,7 +69,10 @@ def known_row(
 
 @compiled
 def unobserved_known_row(now: SegmentWork, u: FloatArray, y: FloatArray, variance: float) -> None:
-    """(14) where the horizontal direction of u says nothing yet: section 12, last but one paragraph."""
+    """Add the row (14) of a segment whose heading is unobserved: section 12, below equation (56).
+
+    Only the vertical parts of u and y (3,) and the lengths of their horizontal parts count.
+    """
     residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
     H, H_y = skew(u), skew(y)
     wide = variance + _horizontal_square(u) + _horizontal_square(y)
@@ -79,9 +85,9 @@ def unobserved_known_row(now: SegmentWork, u: FloatArray, y: FloatArray, varianc
 
 @compiled
 def _huber(uncertain: Three, residual: Three, variance: float, limit: float) -> float:
-    """(17): by how much the variance is raised: 1 within ``limit`` standard deviations of the innovation.
+    """Return the factor of (17) on the variance: 1 within ``limit`` standard deviations of the innovation.
 
-    uncertain: (3,) variances that the orientation gives it.
+    uncertain: (3,) variances that the orientation gives to the residual's components.
     """
     square = 0.0
     for i in range(3):
@@ -97,8 +103,10 @@ def _horizontal_square(v: FloatArray | Three) -> float:
 
 @compiled
 def row_variance(tuning: Tuning, motion: float, interval_s: float) -> float:
-    """(15), (19): (m/s²)² of a row of accelerations that comes every ``interval_s``; motion: ‖[ω̇, ω]‖ or rms
-    sum."""
+    """Return the variance of a row of accelerations, (m/s²)², equations (15) and (19).
+
+    motion: ‖[ω̇, ω]‖, 1/s², of a joint the root of the sum of both squares. interval_s: time between rows.
+    """
     variance = tuning.specific_force**2 + (tuning.lever_arm * motion) ** 2
     return variance * tuning.row_memory_s / interval_s
 
@@ -108,10 +116,10 @@ def row_variance(tuning: Tuning, motion: float, interval_s: float) -> float:
 
 @compiled
 def joint_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Section 6: rows of all joints, and ``U``; segments whose joints are seen from both sides are one chain.
+    """Add the rows of all joints and set ``U`` of every segment, section 6.
 
-    In one filter over the whole tree a foot or a device anywhere aids its chain; outward only one on its
-    root does.
+    Segments whose joints are seen from both sides form one chain. In one filter over the whole tree a foot or
+    a device anywhere aids its chain; in ``outward`` only one on the chain's root does.
     """
     settled_s = tuning.settled * tuning.smoothing_s
     links, segments, works = body.segments, state.segments, work.segments
@@ -142,14 +150,16 @@ def joint_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) 
 
 @compiled
 def _counts(segment: Segment, now: SegmentWork, tuning: Tuning) -> bool:
-    """Whether a segment belongs to its chain: it has a sample, or had one a moment ago."""
+    """Return whether a segment belongs to its chain: it has a sample, or lost one only a moment ago."""
     return bool(now.validity == FORCE or is_short_gap(segment, now, tuning))
 
 
 @compiled
 def _joint_row(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> bool:
-    """Whether the child's heading has just been shown; then there is no row. Changes ``U`` where it corrects
-    lever arms."""
+    """Add the row of one joint; return whether the child's heading has just been shown.
+
+    If it has, no row is added. Changes ``U`` of the child where it corrects lever arms.
+    """
     _, child, parent, now, above = joint
     _see_joint(joint, tuning, dt)
     is_lost = child.heading == UNOBSERVED
@@ -178,8 +188,10 @@ def _joint_row(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> b
 
 @compiled
 def _settle_heading(body: Body, state: State, tuning: Tuning, work: Work, s: int) -> None:
-    """(55): turn segment s to what motion has shown: against its parent its heading is that, to that
-    variance."""
+    """Turn segment s to the heading against its parent that motion has shown, equation (55).
+
+    The relative heading is given the variance of that evidence.
+    """
     p = body.segments[s].parent
     variance, angle = shown_between(state.segments[s], state.segments[p], tuning)
     state.segments[s].heading = OBSERVED
@@ -190,7 +202,7 @@ def _settle_heading(body: Body, state: State, tuning: Tuning, work: Work, s: int
 
 @compiled
 def _see_joint(joint: Joint, tuning: Tuning, dt: float) -> None:
-    """(18) to (21), (23): ``u``, ``u_parent``, ``row_variance`` ← of a joint."""
+    """Set ``u``, ``u_parent`` and ``row_variance`` of a joint, equations (18) to (21) and (23)."""
     link, child, parent, now, above = joint
     # (18) u_p
     felt_into(now.u_parent, parent.averages.force, above.K, link.from_parent, child.arms.error, 3)
@@ -216,7 +228,10 @@ def _see_joint(joint: Joint, tuning: Tuning, dt: float) -> None:
 
 @compiled
 def _heading_variance(joint: Joint, tuning: Tuning, dt: float) -> float:
-    """The heading's part of (21): ``½ ψ² u`` is what a linearised row leaves out of a relative heading ψ."""
+    """Return the heading's part of (21), (m/s²)².
+
+    It is the mean square of ``½ ψ² u``, which a linearised row leaves out of a relative heading ψ.
+    """
     _, child, parent, now, _ = joint
     apart = child.P[2, 2] + parent.P[2, 2] - 2.0 * child.C[2, 2]
     square = 0.5 * (_horizontal_square(now.u) + _horizontal_square(now.u_parent))
@@ -225,8 +240,10 @@ def _heading_variance(joint: Joint, tuning: Tuning, dt: float) -> float:
 
 @compiled
 def _learn_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> None:
-    """(20), (46): what the lever arms are uncertain of is added to the joint's row, and from time to time is
-    learnt."""
+    """Learn the joint's lever arms when they are due; add their uncertainty to its row.
+
+    Equations (20) and (46).
+    """
     child, now = joint.child, joint.now
     if is_due(child, tuning, dt):
         learning.at_once = now.row_variance * dt / tuning.row_memory_s
@@ -240,10 +257,11 @@ def _learn_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> 
 
 @compiled
 def joint_row(joint: Joint, is_unobserved: bool, tuning: Tuning, dt: float) -> None:
-    """(13), (17), (22): the joint's acceleration seen from both sides, ``u`` and ``u_parent``, every dt, to
-    ``row_variance``.
+    """Add the row that ``u`` and ``u_parent`` of a joint agree, equations (13), (17) and (22).
 
-    is_unobserved: the heading of one against the other is not known.
+    Its variance is ``row_variance``, raised by the joint's NIS and where it is an outlier. A joint that does
+    not fit adds none. dt: time between rows, s. is_unobserved: the heading of one segment against the other
+    is unknown.
     """
     _, child, parent, now, _ = joint
     u, u_p, variance = now.u, now.u_parent, now.row_variance
@@ -269,7 +287,10 @@ def joint_row(joint: Joint, is_unobserved: bool, tuning: Tuning, dt: float) -> N
 
 @compiled
 def _unobserved_joint_row(now: SegmentWork, residual: Three, variance: float) -> None:
-    """(13), heading against the parent unknown: the horizontal parts are only equally long."""
+    """Add the row (13) where the heading against the parent is unknown.
+
+    Of the horizontal parts only the lengths count.
+    """
     u, u_p = now.u, now.u_parent
     H, H_p = skew(u), skew(u_p)
     wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
@@ -282,8 +303,11 @@ def _unobserved_joint_row(now: SegmentWork, residual: Three, variance: float) ->
 
 @compiled
 def _nis(uncertain: Three, residual: Three, variance: float, first: int) -> float:
-    """Normalised innovation squared of (22), per component; first: component from which they are compared, 2
-    where the horizontal ones cannot be."""
+    """Return the normalised innovation squared of (22).
+
+    uncertain: (3,) variances that the orientations give. variance: of each component of the row. first: first
+    component that is compared; 2 where the horizontal ones cannot be.
+    """
     square, expected = 0.0, 0.0
     for i in range(first, 3):
         square += residual[i] ** 2
@@ -293,18 +317,18 @@ def _nis(uncertain: Three, residual: Three, variance: float, first: int) -> floa
 
 @compiled
 def _watch_joint(child: Segment, nis: float, tuning: Tuning, dt: float) -> float:
-    """N_s of (20), (22): by how much the joint to the parent agrees worse than its noise says, variances; 1:
-    no worse. Modules worn otherwise than the rig says disagree all the time, and their joint tells little.
+    """Update N_s of (22) by one NIS; return max(1, N_s) of (20).
 
-    Where that comes out, what the joint has told until then is taken back: the segment is as uncertain as at
-    its start, and stands on what its own module tells until the joint fits again.
+    Modules that are worn otherwise than the rig says disagree all the time. When N_s reaches ``loose_nis``,
+    what the joint has shown is taken back: the segment becomes as uncertain as at its start, and relies on
+    its own module until the joint fits again.
     """
     seen, before = min(nis, tuning.largest_nis), child.joint_nis
     # (22)
     child.joint_nis += (1.0 - math.exp(-dt / tuning.joint_nis_memory_s)) * (seen - before)
     if before < tuning.loose_nis <= child.joint_nis:
         for i in range(3):
-            # what it has told is taken back: the uncertainty of a start
+            # what it has shown is taken back: the uncertainty of a start
             child.P[i, i] += tuning.start_heading**2 if i == 2 else tuning.start_tilt**2
         child.unaided_square = max(
             child.unaided_square, (tuning.unaided_speed / tuning.unaided_window_s) ** 2
@@ -318,7 +342,7 @@ def _watch_joint(child: Segment, nis: float, tuning: Tuning, dt: float) -> float
 
 @compiled
 def zero_rate_rows(state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Zero rate, section 9: of all segments that have turned no more for a while."""
+    """Add zero-rate rows for all segments that have not turned for a while, section 9."""
     gain = 1.0 - math.exp(-dt / tuning.zero_rate_window_s)
     segments, works = state.segments, work.segments
     for s in range(len(works)):
@@ -329,9 +353,10 @@ def zero_rate_rows(state: State, tuning: Tuning, work: Work, dt: float) -> None:
 
 @compiled
 def watch_zero_rate(watch: ZeroRateWatch, now: SegmentWork, tuning: Tuning, gain: float, dt: float) -> bool:
-    """Whether a segment has turned no more for a while; ``watch.rate`` is then the gyroscope's bias.
+    """Return whether a segment has not turned for a while.
 
-    gain: of a low-pass of ``zero_rate_window_s`` over dt.
+    ``watch.rate`` then is the gyroscope's bias, rad/s. gain: of a low-pass of ``zero_rate_window_s`` over dt
+    (s).
     """
     rate_change, force_change = 0.0, 0.0
     for i in range(3):
@@ -353,7 +378,7 @@ def watch_zero_rate(watch: ZeroRateWatch, now: SegmentWork, tuning: Tuning, gain
 
 @compiled
 def zero_rate_row(now: SegmentWork, segment: Segment, tuning: Tuning, dt: float) -> None:
-    """(36): without a turn the mean rate is the bias."""
+    """Add the row that the mean rate of a segment at rest is its gyroscope's bias, equation (36)."""
     # (36) v
     variance = tuning.zero_rate_sigma**2 * tuning.zero_rate_window_s / dt
     for i in range(3):
@@ -370,10 +395,11 @@ def zero_rate_row(now: SegmentWork, segment: Segment, tuning: Tuning, dt: float)
 
 @compiled
 def note_rolling(state: State, work: Work, dt: float) -> None:
-    """For (38): ``rolling`` ← rad/s²: ‖ω̇‖ + ‖ω‖² of what is taken to stand, from this rate and the last one.
+    """Set ``rolling``, ‖ω̇‖ + ‖ω‖² of (38), rad/s², of segments that are taken to stand.
 
-    Called before the prediction, which takes the rate over. A foot that begins to roll off is felt here at
-    once; what it accelerates by always points ahead, and would tilt whoever walks straight on.
+    It is found from this rate and the last one. Called before the prediction, which overwrites the last rate.
+    A foot that begins to roll off shows here at once; its acceleration always points ahead, and would tilt
+    whoever walks straight on.
     """
     segments, works = state.segments, work.segments
     for s in range(len(segments)):
@@ -389,10 +415,10 @@ def note_rolling(state: State, work: Work, dt: float) -> None:
 
 @compiled
 def stance_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """(38): adds the rows of segments that stand still and marks them as aided.
+    """Add the rows (38) of segments that stand still, and mark them as aided.
 
     A segment that is not made to stand on may also move slowly and evenly, which its module's short window
-    cannot tell from standing: its ``ZeroRateWatch`` must say so as well.
+    cannot distinguish from standing: its ``ZeroRateWatch`` must find it at rest as well.
     """
     links, segments, works = body.segments, state.segments, work.segments
     for s in range(len(links)):
@@ -421,10 +447,10 @@ LEAST_SQUARE = 1e-9
 
 @compiled
 def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Section 9, unaided: all segments of a chain that nothing aids share one row: that averages their
-    accelerometers' errors.
+    """Add the rows (39) that mean accelerations are small.
 
-    Where one is aided, its segments have a weak one of their own until their inclinations are settled.
+    The segments of an unaided chain share the information of one row, which averages the errors of their
+    accelerometers. A segment of an aided chain has a weak row of its own until its tilt is settled.
     """
     decay = math.exp(-dt / tuning.starting_memory_s)
     segments, works = state.segments, work.segments
@@ -449,8 +475,10 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
 
 @compiled
 def note_acceleration(segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
-    """(40): how far a mean acceleration is from none while the inclination is known, aided or not: what a row
-    that takes it for none is off by."""
+    """Update A_1² of (40), (m/s²)², the mean square acceleration over the unaided window, aided or not.
+
+    It counts only while the tilt is known: a wrong tilt would look like an acceleration.
+    """
     tilt = segment.P[0, 0] + segment.P[1, 1]
     if segment.averages.seconds < tuning.unaided_window_s or tilt > tuning.aided_tilt**2:
         return
@@ -466,9 +494,12 @@ def note_acceleration(segment: Segment, world: World, tuning: Tuning, dt: float)
 def unaided_row(
     now: SegmentWork, segment: Segment, world: World, sharing: int, tuning: Tuning, dt: float
 ) -> None:
-    """(39): the mean acceleration over a window is small, where nothing tells what it is: no smaller than it
-    was while that was known, and over a shorter time as much larger as speeds are the same. It stays for the
-    window on either side. sharing: segments that move together and have such a row each."""
+    """Add the row that the mean acceleration of an unaided segment is small, equation (39).
+
+    A² is at least a share of the mean square acceleration that was seen while the tilt was known and, over a
+    time shorter than the window, as much larger as speeds are the same. An error stays for the window.
+    sharing: number of segments that move together and have such a row each.
+    """
     # (39) A²
     square = max(_mean_square(segment, tuning, dt), tuning.acceleration_share * segment.unaided_square)
     # (39) v = A² T_u / Δt n_c
@@ -478,8 +509,11 @@ def unaided_row(
 
 @compiled
 def starting_row(now: SegmentWork, segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
-    """(39) of a segment whose chain is aided, without A_1, as long as its inclination is hardly known: after
-    a start in mid-motion. Joints show it only then, one after the other from where the chain is aided."""
+    """Add the row (39) without A_1 to a segment of an aided chain, as long as its tilt is hardly known.
+
+    That is so after a start in mid-motion: joints show tilts only one after the other from where the chain is
+    aided.
+    """
     if segment.P[0, 0] + segment.P[1, 1] > tuning.unsettled_tilt**2:
         variance = _mean_square(segment, tuning, dt) * tuning.unaided_window_s / dt
         known_row(now, segment, segment.averages.long_force, world.at_rest, variance, tuning)
@@ -487,8 +521,11 @@ def starting_row(now: SegmentWork, segment: Segment, world: World, tuning: Tunin
 
 @compiled
 def _mean_square(segment: Segment, tuning: Tuning, dt: float) -> float:
-    """A² of (39) without A_1, (m/s²)² of a mean acceleration: over a shorter time, as after a gap, as much
-    larger as speeds are the same, and for some time as large as a start in motion has let expect."""
+    """Return A² of (39) without A_1, (m/s²)².
+
+    Over a time shorter than the window, as after a gap, it is as much larger as speeds are the same; after a
+    start in motion it is for some time as large as the first sample lets expect.
+    """
     lasted_s = max(segment.averages.seconds, dt)
     square = max(tuning.least_acceleration**2, segment.starting_square)
     if lasted_s < tuning.unaided_window_s:

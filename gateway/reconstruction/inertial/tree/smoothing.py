@@ -34,17 +34,20 @@ KEPT_OF_ARMS, KEPT_OF_DEVICES = ("error", "covariance"), ("shift", "covariance",
 
 
 def turned_back(state: State, tuning: Tuning, gravity: FloatArray) -> State:
-    """The state to go backward with from where ``state`` is: orientations, biases, lever arms and shown
-    headings are kept; the rows' averages begin anew. The clock stands at 0, where the last frame lies: it has
-    been taken, and turning by its rate once more would be off by a whole interval.
+    """Return the state with which the filter runs backward from where ``state`` is. gravity: (3,) m/s².
 
-    Recordings end in mid-motion as often as at rest: a backward filter that knew nothing would first of all
-    take that motion's acceleration for a tilt. But it is as unsure as a beginning: what the forward filter
-    knows would count twice where the two are put together, and an error at its end would be carried back.
-    gravity: (3,) m/s².
+    Orientations, biases, lever arms and shown headings are kept; the rows' averages begin anew. The clock
+    stands at 0, where the last frame lies: that frame has been used, and a turn by its rate once more would
+    be off by a whole interval.
+
+    Recordings end in mid-motion as often as at rest: a backward filter that began without any state would
+    first take that motion's acceleration for a tilt. But it is as uncertain as at a start: what the forward
+    filter knows would count twice where the two are put together, and an error at its end would be carried
+    back.
     """
     before, devices = state.segments, state.devices
     turned = initial_state(len(before), len(devices))
+    # biases are rates: backward they change their sign, and so do their covariances with orientations
     back, sign = turned.segments, np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
     for name in KEPT:
         back[name][...] = before[name]
@@ -72,9 +75,10 @@ def turned_back(state: State, tuning: Tuning, gravity: FloatArray) -> State:
 def seen_backward(
     frames: Sequence[ImuFrame], end_ns: int, later: Sequence[LocalReading]
 ) -> tuple[list[ImuFrame], list[LocalReading]]:
-    """Frames in reverse order as a motion of their own, whose time is counted back from ``end_ns``.
+    """Return the frames in reverse order as a motion of their own, with time counted back from ``end_ns``.
 
-    later: readings left over from the frames after these; returned are those of before the first frame.
+    later: readings left over from the frames after these. Readings of before the first frame are returned
+    second.
     """
     waiting = [*later, *(reading for frame in frames for reading in frame.local)]
     waiting.sort(key=lambda reading: reading.time_ns)
@@ -106,12 +110,12 @@ def put_together(
     P_back: FloatArray,
     sigma_back: FloatArray,
 ) -> None:
-    """(66): orientations (T, n, 4) of the forward filter take in those of the backward one, in place, and
-    sigma (T, n), rad, that of the surer one. P, P_back: (T, n, 3, 3) rad², world axes.
+    """Combine forward and backward orientations (T, n, 4) into the forward ones, in place, equation (66).
 
-    With the rotation ``δ = log(R_back R⁻¹)`` the orientation moves by ``P (P + P_back)⁻¹ δ``. Where only one
-    of them knows anything, that one counts. The backward filter starts from the forward one's end, so the two
-    are not independent: sigma claims no more than the surer one.
+    sigma (T, n), rad, becomes that of the surer one. P, P_back: (T, n, 3, 3) rad², world axes. With the
+    rotation ``δ = log(R_back R⁻¹)`` the orientation moves by ``P (P + P_back)⁻¹ δ``. Where only one of the
+    two is defined, that one counts. The backward filter starts from the forward one's end, so they are not
+    independent: sigma claims no more than the surer one.
     """
     both, known = np.empty((3, 3)), np.empty((3, 3))
     for t in range(q_wb.shape[0]):

@@ -1,4 +1,4 @@
-"""How a segment begins, and headings that nobody knows yet. Compiled.
+"""How a segment starts, and headings that nothing has shown yet. Compiled.
 
 While a segment's heading against its parent is unobserved, a linearised filter may converge to anything. But
 the horizontal accelerations of the joint seen from both sides are the same vector up to one angle ψ, whose
@@ -44,7 +44,10 @@ FORCE, NOTHING = Validity.FORCE.value, Validity.NOTHING.value
 
 @compiled
 def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None:
-    """Section 14: begin where a first sample has come; until then what a module says does not count."""
+    """Start segments at their first sample of specific force, section 14.
+
+    Until then their samples do not count.
+    """
     links, segments, works = body.segments, state.segments, work.segments
     for s in range(len(links)):
         segment, now = segments[s], works[s]
@@ -57,13 +60,18 @@ def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None
 
 @compiled
 def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning: Tuning) -> None:
-    """(62) to (65), from the first sample: level by the specific force, facing as the field says, if any."""
+    """Start a segment from its first sample, equations (62) to (65).
+
+    It is level by the specific force and faces as the field says. Without a usable field the heading is
+    arbitrary. If the two directions define no orientation the segment does not start.
+    """
     f, w, m = now.specific_force, now.angular_rate, now.magnetic_field
     secondary, secondary_w = np.zeros(3), np.zeros(3)
     if world.uses_field and is_finite(m):
         for i in range(3):
             secondary[i], secondary_w[i] = m[i], world.magnetic_field[i]
     else:
+        # of x and y the axis that is further from vertical: near it the heading would be ill-defined
         secondary[int(abs(f[0]) > abs(f[1]))] = 1.0
         secondary_w[1] = 1.0
     # (62) R f ∥ −g, R m in the half-plane of h
@@ -92,7 +100,10 @@ def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning:
 
 @compiled
 def _start_covariance(segment: Segment, tilt: float, tuning: Tuning) -> None:
-    """(63). tilt: rad²."""
+    """Set P and C of a segment, and its lever arms' covariance, to those of a start, (63).
+
+    tilt: variance, rad².
+    """
     arms = segment.arms
     for i in range(6):
         for j in range(6):
@@ -110,7 +121,7 @@ def _start_covariance(segment: Segment, tilt: float, tuning: Tuning) -> None:
 
 @compiled
 def start_compass(compass: Compass, tuning: Tuning) -> None:
-    """Nothing is known of a heading's error."""
+    """Reset a compass to an unknown error of the heading."""
     compass.angle, compass.rate, compass.covariance, compass.seconds = 0.0, 0.0, 0.0, 0.0
     compass.variance, compass.rate_variance = tuning.unknown_heading**2, tuning.bias**2
     compass.scatter, compass.offset_square = tuning.compass_scatter**2, tuning.start_heading**2
@@ -120,7 +131,7 @@ def start_compass(compass: Compass, tuning: Tuning) -> None:
 
 @compiled
 def _start_watches(segment: Segment) -> None:
-    """What is said of a module's samples begins anew."""
+    """Reset all statistics of a module's samples."""
     seen, heading, watch = segment.corrections, segment.heading_sums, segment.zero_rate
     for i in range(2):
         seen.sums[i], seen.sums_before[i] = 0.0, 0.0
@@ -131,8 +142,11 @@ def _start_watches(segment: Segment) -> None:
 
 @compiled
 def start_acceleration(gravity: FloatArray, f: FloatArray, w: FloatArray, tuning: Tuning) -> float:
-    """a_0² of (64), (m/s²)²: square of what a module may accelerate by, as its first sample shows: as much as
-    it feels more or less than gravity, and as it turns at the end of ``start_arm``."""
+    """Return a_0² of (64), (m/s²)²: square of the acceleration that a module may have at its first sample.
+
+    It is by how much the module feels more or less than gravity, and by how it turns at the end of
+    ``start_arm``. f: specific force, m/s², w: angular rate, rad/s; (3,).
+    """
     turning = dot(w, w) * tuning.start_arm
     square: float = (norm(f) - norm(gravity)) ** 2 + turning * turning
     return square
@@ -148,11 +162,11 @@ GRAVITY = 9.81
 
 @compiled
 def tilt_spread(segment: Segment, tuning: Tuning, interval_s: float) -> float:
-    """Last part of (54)'s denominator: variance, (m/s²)², that an uncertain tilt of a segment gives to the
-    horizontal part of a row.
+    """Return the last term of (54)'s denominator, (m/s²)².
 
-    It stays for ``tilt_memory_s``, so rows every ``interval_s`` do not average it out. At the start it is all
-    there is: two segments at rest that are tilted alike would otherwise seem to show their headings.
+    It is what an uncertain tilt adds to the variance of a row's horizontal part. A tilt error stays for
+    ``tilt_memory_s``, so rows every ``interval_s`` do not average it out. At the start it is all there is:
+    two segments at rest that are tilted alike would otherwise seem to show their headings.
     """
     tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
     variance: float = GRAVITY**2 * tilt * max(1.0, tuning.tilt_memory_s / interval_s)
@@ -161,12 +175,11 @@ def tilt_spread(segment: Segment, tuning: Tuning, interval_s: float) -> float:
 
 @compiled
 def second_order_variance(segment: Segment, u: FloatArray, tuning: Tuning, interval_s: float) -> float:
-    """ε_s of (21): variance, (m/s²)², of a row every ``interval_s`` by what the linearisation leaves out; u
-    (3,) of the segment.
+    """Return ε_s of (21), (m/s²)²: the variance of what a linearised row leaves out.
 
-    A tilt δ moves u by ``δ × u + ½ δ × (δ × u)``. Where inclinations are as uncertain as at a start in motion
-    the second term is larger than the noise, and as lasting as the tilt: taken for linear, a few rows would
-    make a wrong inclination certain.
+    u: (3,) of the segment, m/s². interval_s: time between rows. A tilt δ moves u by ``δ × u + ½ δ × (δ ×
+    u)``. Where tilts are as uncertain as at a start in motion the second term is larger than the noise, and
+    lasts as long as the tilt: taken for linear, a few rows would make a wrong tilt certain.
     """
     tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
     variance: float = 2.0 * tilt * tilt * dot(u, u) * max(1.0, tuning.tilt_memory_s / interval_s)
@@ -177,7 +190,11 @@ def second_order_variance(segment: Segment, u: FloatArray, tuning: Tuning, inter
 def gather_heading(
     sums: HeadingSums, u: FloatArray, y: FloatArray, variance: float, tuning: Tuning, interval_s: float
 ) -> None:
-    """(54), one pair more: u (3,) of the segment, y (3,) what it must agree with, world."""
+    """Add one pair of vectors to the sums of (54).
+
+    u: (3,) of the segment, y: (3,) what it must agree with; world. variance: of the pair's components,
+    (m/s²)². interval_s: time since the pair before.
+    """
     decay = math.exp(-interval_s / tuning.heading_forgets_s)
     # (54) κ e^{iψ_0}: real part …
     sums.along = sums.along * decay + (y[0] * u[0] + y[1] * u[1]) / variance
@@ -191,13 +208,16 @@ def gather_heading(
 
 @compiled
 def shown_heading(sums: HeadingSums, tuning: Tuning) -> tuple[float, float]:
-    """(55): variance (rad²) and angle of a heading that motion has shown; variance 0: not yet."""
+    """Return variance (rad²) and angle (rad) of a heading that motion has shown, (55); 0: not yet."""
     return _shown(sums.along, sums.across, sums.length, sums.seconds, tuning)
 
 
 @compiled
 def shown_between(segment: Segment, parent: Segment, tuning: Tuning) -> tuple[float, float]:
-    """(55), (56): the same of a segment against its parent, whose compasses count beside the motion."""
+    """Return variance (rad²) and angle (rad) of a heading against the parent, (55), (56); 0: not yet.
+
+    Where both have seen the field, their compasses count beside the motion.
+    """
     sums, compass, above = segment.heading_sums, segment.compass, parent.compass
     along, across, length = sums.along, sums.across, sums.length
     if compass.seconds > 0.0 and above.seconds > 0.0:
@@ -212,7 +232,7 @@ def shown_between(segment: Segment, parent: Segment, tuning: Tuning) -> tuple[fl
 
 @compiled
 def _shown(along: float, across: float, length: float, seconds: float, tuning: Tuning) -> tuple[float, float]:
-    """(55), of the sums of (54)."""
+    """Return variance (rad²) and angle (rad) of the heading by the sums of (54), (55); 0: not yet."""
     concentration = math.hypot(along, across)
     if seconds < tuning.heading_time_s or concentration < tuning.heading_evidence:
         return 0.0, 0.0
@@ -223,7 +243,10 @@ def _shown(along: float, across: float, length: float, seconds: float, tuning: T
 
 @compiled
 def is_apart(segment: Segment, parent: Segment, has_parent: bool, tuning: Tuning) -> bool:
-    """(57): whether the heading of a segment against its parent, of a root against the world, is lost."""
+    """Return whether the heading of a segment is lost, equation (57).
+
+    Against its parent, if it has one, else in the world.
+    """
     variance = segment.P[2, 2]
     if has_parent:
         variance += parent.P[2, 2] - 2.0 * segment.C[2, 2]
@@ -232,7 +255,7 @@ def is_apart(segment: Segment, parent: Segment, has_parent: bool, tuning: Tuning
 
 @compiled
 def _is_left_behind(segment: Segment, parent: Segment, above: Link, tuning: Tuning) -> bool:
-    """Whether the parent's heading alone is lost: it is found anew, and the segment keeps its own."""
+    """Return whether only the parent's heading is lost: that is found anew, and the segment keeps its own."""
     if segment.P[2, 2] > tuning.lost_heading**2:
         return False
     is_silent = parent.started != STARTED and above.heading_observable == 1
@@ -241,10 +264,10 @@ def _is_left_behind(segment: Segment, parent: Segment, above: Link, tuning: Tuni
 
 @compiled
 def lose_headings(links: Records[Link], segments: Records[Segment], tuning: Tuning) -> None:
-    """Headings that the filter itself no longer knows (gyroscopes saturated, long unseen) are unobserved
-    again.
+    """Mark headings as unobserved that the filter itself no longer knows, (57).
 
-    A linearised filter would not find them; the next motion does, in closed form.
+    So it is after a gyroscope was saturated. A linearised filter would not find them back; the next motion
+    shows them, in closed form.
     """
     for s in range(len(links)):
         p, segment = links[s].parent, segments[s]
@@ -260,13 +283,13 @@ def lose_headings(links: Records[Link], segments: Records[Segment], tuning: Tuni
 
 @compiled
 def forget_evidence(sums: HeadingSums) -> None:
-    """Begin anew to gather what motion shows of a heading."""
+    """Reset what motion has shown of a heading."""
     sums.along, sums.across, sums.length, sums.seconds = 0.0, 0.0, 0.0, 0.0
 
 
 @compiled
 def is_contradicted(sums: HeadingSums, tuning: Tuning) -> bool:
-    """Whether motion says clearly that a heading that was taken as shown is far off: it was shown wrongly."""
+    """Return whether motion clearly shows that a heading that was taken as shown is far off."""
     concentration = math.hypot(sums.along, sums.across)
     is_clear = concentration > tuning.heading_contradiction * tuning.heading_evidence
     is_clear = is_clear and concentration > tuning.heading_coherence * sums.length
@@ -275,8 +298,10 @@ def is_contradicted(sums: HeadingSums, tuning: Tuning) -> bool:
 
 @compiled
 def take_back_heading(body: Body, state: State, tuning: Tuning, work: Work, s: int) -> None:
-    """A heading that motion contradicts is unobserved again, and what has been gathered against it kept: of
-    segment s and all beyond it nothing is known of how they head against those before."""
+    """Mark the heading of segment s as unobserved again, since motion contradicts it, and keep the evidence.
+
+    The headings of s and of all segments beyond it become unknown against those before it.
+    """
     links, segments, works = body.segments, state.segments, work.segments
     segments[s].heading = UNOBSERVED
     more = tuning.unknown_heading**2
@@ -291,7 +316,10 @@ def take_back_heading(body: Body, state: State, tuning: Tuning, work: Work, s: i
 
 @compiled
 def turn_heading_sums(sums: HeadingSums, angle: float) -> None:
-    """The evidence after its segment was turned by ``angle`` about the vertical (its parent: by −angle)."""
+    """Turn the evidence as its segment was turned, by ``angle`` (rad) about the vertical.
+
+    For a turn of its parent the angle is negative.
+    """
     if angle == 0.0:
         return
     cosine, sine = math.cos(angle), math.sin(angle)
@@ -301,17 +329,21 @@ def turn_heading_sums(sums: HeadingSums, angle: float) -> None:
 
 @compiled
 def give_of(segment: Segment, tuning: Tuning) -> float:
-    """How easily a segment, with all that hangs together with it, is turned in the world, rad²: the square of
-    ``P_33``, so that one module that comes back does not turn the sixteen that have stayed."""
+    """Return how easily a segment turns in the world beside what it is joined to: P_33² over σ_max², rad².
+
+    The square is there so that one module that comes back does not turn the sixteen that have stayed.
+    """
     return float(segment.P[2, 2] ** 2 / tuning.unknown_heading**2 + LEAST_GIVE)
 
 
 @compiled
 def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, angle: float) -> None:
-    """Turn segment s and all beyond it, and all before it back, so that they differ by ψ₀ (rad) more: each
-    side by its share of what both give way, which is what the stiffest of a side gives: a segment that came
-    back amid a body takes that along. Those beyond end where a segment has kept its own heading while that of
-    s was lost; a root turns with all of them."""
+    """Turn segment s and all beyond it against all before it, by ``angle`` (rad).
+
+    Each side turns by its share of what both give way. The stiffest segment of a side stands for it: a
+    segment that comes back amid a body does not turn the body. The side beyond ends where a segment has kept
+    its own heading while that of s was lost; a root turns with all of them.
+    """
     links, segments, works = body.segments, state.segments, work.segments
     root, first = s, links[s].parent
     while links[root].parent >= 0:
@@ -334,8 +366,10 @@ def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, an
 
 @compiled
 def _mark_sides(body: Body, state: State, tuning: Tuning, work: Work, s: int, root: int) -> None:
-    """``is_beyond``, ``is_before`` ← which segments of the tree of ``root`` turn with s, and with its
-    parent."""
+    """Set ``is_beyond`` and ``is_before`` in the tree of ``root``.
+
+    They are the segments that turn with s, and with the parent of s.
+    """
     links, segments, works = body.segments, state.segments, work.segments
     for c in range(root, len(links)):
         now, p = works[c], links[c].parent

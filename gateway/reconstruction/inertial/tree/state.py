@@ -1,4 +1,4 @@
-"""What the tree filter knows and remembers: the body, its state, the work space of an instant.
+"""What the tree filter knows and keeps: the body, its state, the work space of an instant.
 
 All of it are records (``gateway.geometry.records``): one a segment, one a device, one for what all share.
 World vectors that are averages turn with every correction of their segment.
@@ -21,11 +21,11 @@ N_READINGS = 12
 PHASES = 3
 """Of joints that are asked about their lever arms."""
 N_HISTORY = 96
-"""Frames remembered of the segment that carries a local device."""
+"""Frames kept of the segment that carries a local device."""
 
 
 class Started(IntEnum):
-    """How far a segment has come."""
+    """Whether a segment has an orientation."""
 
     NO = 0
     """No sample yet."""
@@ -35,7 +35,7 @@ class Started(IntEnum):
 
 
 class Heading(IntEnum):
-    """Whether something has shown a segment's heading against its parent, of a root in the world."""
+    """Whether a segment's heading has been shown: against its parent, of a root in the world."""
 
     OBSERVED = 0
     UNOBSERVED = 1
@@ -46,7 +46,7 @@ class Validity(IntEnum):
 
     NOTHING = 0
     SATURATED_RATE = 1
-    """It turns by a gyroscope at the end of its range."""
+    """The segment turns by a gyroscope at the end of its range."""
     RATE = 2
     FORCE = 3
 
@@ -84,7 +84,7 @@ class World(Record):
 
 
 class Body(NamedTuple):
-    """Constant."""
+    """The suit as the filter sees it; constant."""
 
     segments: Records[Link]
     devices: Records[Mount]
@@ -166,7 +166,7 @@ class SunSums(Record):
 
 
 class Vibration(Record):
-    """Of an accelerometer; see ``prediction.watch_vibration``."""
+    """Vibration that an accelerometer measures; see ``prediction.watch_vibration``."""
 
     square: float  # mean, of a component, (m/s²)²
     samples: float
@@ -194,7 +194,7 @@ class Gap(Record):
 
 
 class Segment(Record):
-    """Everything remembered of a segment."""
+    """The state of a segment."""
 
     started: int  # Started
     heading: int  # Heading
@@ -205,7 +205,7 @@ class Segment(Record):
     force_bias: Vector  # found error of the accelerometer, m/s², where a local device is
     P: Block  # covariance of its errors: orientation (world axes, rad), bias (segment axes, rad/s)
     C: Block  # of its errors (rows) with its parent's (columns)
-    published: Matrix  # covariance of its orientation's error as it is told, rad², world axes
+    published: Matrix  # covariance of its orientation's error as published, rad², world axes
     rate: Vector  # last measured, bias included, rad/s
     rate_slope: Vector  # its change over the last step, rad/s²; NaN: not known
     averages: Averages
@@ -224,7 +224,7 @@ class Segment(Record):
 
 
 class Reading(Record):
-    """Of a local device."""
+    """A reading of a local device."""
 
     time_s: float  # since the first frame
     value: Vector  # world axes
@@ -241,11 +241,11 @@ class PastFrame(Record):
 
 
 class Device(Record):
-    """Everything remembered of a local device."""
+    """The state of a local device."""
 
     shift: Vector  # found error of its arm, m
     covariance: Block  # of that and of the accelerometer's error
-    age_s: float  # since it last told something
+    age_s: float  # since its last row
     fit_span_s: float  # span of its readings that a fit takes
     fit_density: float  # what the last fit left, (m/s²)² s
     n_readings: int
@@ -260,14 +260,14 @@ NEVER_NS = int(np.iinfo(np.int64).min)
 
 
 class Clock(Record):
-    """Of the filter; ``NEVER_NS``: no frame yet."""
+    """The filter's times; ``NEVER_NS``: no frame yet."""
 
     last_ns: int
     first_ns: int
 
 
 class State(NamedTuple):
-    """Changed in place."""
+    """The state of the filter; changed in place."""
 
     segments: Records[Segment]
     devices: Records[Device]
@@ -275,7 +275,7 @@ class State(NamedTuple):
 
 
 class Evidence(Record):
-    """What an instant tells, in information form: of a segment alone (``own``), and of the edge to its
+    """The rows of an instant in information form: of a segment alone (``own``), and of the edge to its
     parent, child ``c`` and parent ``p``, in their orientation errors only."""
 
     own: Block
@@ -288,7 +288,7 @@ class Evidence(Record):
 
 
 class SegmentWork(Record):
-    """Of a segment at an instant; nothing in it outlives that."""
+    """The work space of a segment; nothing in it outlives an instant."""
 
     specific_force: Vector  # m/s², segment axes, at the module; NaN where there is none
     angular_rate: Vector  # rad/s, segment axes
@@ -301,9 +301,7 @@ class SegmentWork(Record):
     stood_s: float  # for how long it has not accelerated, 0: it does
     mean_rate: Vector  # that turns it from the frame before to this one, rad/s
     before: Matrix  # orientation of the frame before
-    bridged_s: (
-        float  # length of the gap that this sample ends, where both its ends tell how it turned; 0: none
-    )
+    bridged_s: float  # length of the gap that this sample ends and that can be bridged; 0: none
     bridge: Vector  # how it has turned since the last sample before that, segment axes, rad
     K: Matrix  # filtered lever-arm matrix, 1/s², world
     motion: float  # ‖[ω̇, ω]‖, 1/s²
@@ -369,7 +367,7 @@ class LocalPair(Record):
     """What the two sides of a device's row are made of, world axes."""
 
     u: Vector  # specific force of the module, R f, averaged with the fit's kernel
-    y: Vector  # that of the device, as its readings tell it
+    y: Vector  # that of the device, by its readings
     arm: Matrix  # what a device off the module adds to u, by its place there (segment axes, m)
     turn: Matrix  # R averaged as u is
     variance: float  # of the fit, (m/s²)²
@@ -377,7 +375,7 @@ class LocalPair(Record):
 
 
 class ExpectedField(Record):
-    """What every segment's field is held against, and how fast."""
+    """What every segment's field is compared with, and the gains of its averages."""
 
     norm: float  # µT
     dip: float  # rad, above the horizontal
@@ -389,7 +387,7 @@ class ExpectedField(Record):
 
 
 class SharedWork(Record):
-    """Of all segments at an instant."""
+    """The work space that all segments share; nothing in it outlives an instant."""
 
     time_s: float  # since the first frame
     sees_sun: int
@@ -408,14 +406,14 @@ class SharedWork(Record):
 
 
 class Work(NamedTuple):
-    """Made once, so that no frame makes any."""
+    """The work space of an instant, made once so that no frame has to make arrays."""
 
     segments: Records[SegmentWork]
     shared: SharedWork
 
 
 def initial_state(n: int, d: int) -> State:
-    """Return that of n segments and d devices of which nothing is known."""
+    """Return the state of n segments and d devices before their first sample."""
     state = State(records(Segment, n), records(Device, d), record(Clock))
     state.clock.last_ns = state.clock.first_ns = NEVER_NS
     state.segments["heading"] = Heading.UNOBSERVED
@@ -427,7 +425,7 @@ def initial_state(n: int, d: int) -> State:
 
 
 def work_space(n: int) -> Work:
-    """Return that of n segments, of which no module has spoken."""
+    """Return the work space of n segments before their modules' first samples."""
     work = Work(records(SegmentWork, n), record(SharedWork))
     for name in ("specific_force", "angular_rate", "magnetic_field", "sun", "sun_sigma"):
         work.segments[name] = np.nan
@@ -439,7 +437,11 @@ def work_space(n: int) -> Work:
 def chain_body(
     suit: WornSuit, uses_field: bool, is_tree: bool = True, constants: Tuning | None = None
 ) -> Body:
-    """The suit as the filter sees it. Devices on segments without module tell nothing and are left out."""
+    """Return the suit as the filter sees it.
+
+    Devices on segments without a module are left out: no acceleration is measured there to compare theirs
+    with.
+    """
     skeleton = suit.skeleton
     has_module = suit.module_of_segment >= 0
     bridges = bridges_of(suit, constants or tuning())
@@ -476,7 +478,7 @@ def chain_body(
 
 
 class Bridges(NamedTuple):
-    """By segment."""
+    """How segments without a module are bridged; arrays by segment."""
 
     parents: IntArray  # (n,) nearest one towards the root with a module; −1: none, or has none itself
     before: FloatArray  # (n, 3) that one's proximal joint to the joint between, its axes, m
@@ -486,7 +488,10 @@ class Bridges(NamedTuple):
 
 
 def bridges_of(suit: WornSuit, tuning: Tuning) -> Bridges:
-    """Of all segments of a suit. A segment without module is in no chain."""
+    """Return the bridges over segments without a module, by segment.
+
+    A segment without a module is in no chain.
+    """
     skeleton, n = suit.skeleton, suit.skeleton.n_segments
     rules = {rule.segment: rule for rule in skeleton.interpolations}
     parents, is_bridged = np.full(n, -1, np.int64), np.zeros(n, np.int64)
@@ -509,7 +514,7 @@ def bridges_of(suit: WornSuit, tuning: Tuning) -> Bridges:
 
 
 def _without_module(suit: WornSuit, s: int) -> list[int]:
-    """The segments between s and the nearest with a module, from s towards the root."""
+    """Return the segments between s and the nearest with a module, from s towards the root."""
     between, p = [], int(suit.skeleton.parents[s])
     while p >= 0 and suit.module_of_segment[p] < 0:
         between.append(p)
@@ -518,5 +523,8 @@ def _without_module(suit: WornSuit, s: int) -> list[int]:
 
 
 def _share(rule: Interpolation | None, a: int, s: int) -> float:
-    """Of the bend from a to s that a segment between them turns by; one that has no such rule goes with a."""
+    """Return the share of the bend from a to s by which a segment between them turns.
+
+    Without a rule for these two it is 0: the segment turns as a does.
+    """
     return rule.fraction if rule is not None and (rule.first, rule.second) == (a, s) else 0.0

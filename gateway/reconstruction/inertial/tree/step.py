@@ -82,7 +82,7 @@ class Wearing(NamedTuple):
 
 
 class Filter(NamedTuple):
-    """What a frame is made with."""
+    """Everything that a pose is computed from beside the measurements."""
 
     wearing: Wearing
     body: Body
@@ -91,8 +91,11 @@ class Filter(NamedTuple):
     work: Work
 
     def arrays(self) -> tuple[Any, ...]:
-        """As ``advance`` takes it: Numba finds out the type of an array that is an argument of its own five
-        times as fast as that of one in a tuple, or of a single record."""
+        """Return the filter's parts as the arguments of ``advance``.
+
+        Numba finds the type of an array that is an argument of its own five times as fast as that of an array
+        in a tuple or of a single record.
+        """
         return (
             *self.wearing, self.body.segments, self.body.devices, array_of(self.body.world),
             self.state.segments, self.state.devices, array_of(self.state.clock), array_of(self.tuning),
@@ -127,14 +130,17 @@ class Outputs(NamedTuple):
 
 
 def room_for(n_frames: int, n: int) -> Outputs:
-    """Return room for poses of n segments."""
+    """Return arrays for T poses of n segments, not yet filled."""
     rate, acceleration, p_w = (np.empty((n_frames, n, 3)) for _ in range(3))
     status = np.empty((n_frames, n), np.uint8)
     return Outputs(np.empty((n_frames, n, 4)), rate, acceleration, p_w, np.empty((n_frames, n)), status)
 
 
 def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval_s: float) -> Wearing:
-    """root_device: what measures where a segment is, if anything does."""
+    """Return how the suit is worn, in the arrays of ``Wearing``.
+
+    root_device: the device that measures the position of its segment; None: no device does.
+    """
     return Wearing(
         suit.module_of_segment.astype(np.int64),
         sensor_to_segment_matrices(suit),
@@ -184,12 +190,14 @@ def advance(
     sigma: FloatArray,
     status_found: StatusArray,
 ) -> None:
-    """All instants in turn; after the first two arguments those of ``Inputs``, the parts of a ``Filter`` and
-    those of ``Outputs``, which are filled from row ``first`` on.
+    """Advance the filter over all instants in turn and fill the outputs.
 
-    stood_s: (T, n) for how long each segment has stood still, s. covariance: (T, n, 2, 3, 3) is filled
-    with that of the orientation errors, world axes, rad², the estimate's own and as published; empty: not
-    wanted.
+    The arguments after the first two are the fields of ``Inputs``, the parts of a ``Filter``, and the fields
+    of ``Outputs``, which are filled from row ``first`` on.
+
+    stood_s: (T, n) for how long each segment has stood still, s. covariance: (T, n, 2, 3, 3) is filled with
+    the covariance of the orientation errors, world axes, rad²: first the estimate's own, then the published
+    one. An empty array leaves it out.
     """
     inputs = Inputs(
         time_ns, specific_force, angular_rate, magnetic_field, status, clipped, root_position, readings_end,
@@ -212,6 +220,7 @@ def _advance(
     n, taken = len(wearing.parents), 0
     for t in range(len(inputs.time_ns)):
         q_wb, p_w, status = outputs.q_wb[first + t], outputs.p_w[first + t], outputs.status[first + t]
+
         _observe(work, wearing, inputs, stood_s[t], t)
         dt = _tick(state.clock, inputs.time_ns[t], wearing.nominal_interval_ns[0])
         work.shared.time_s = (inputs.time_ns[t] - state.clock.first_ns) * 1e-9
@@ -222,6 +231,7 @@ def _advance(
             for s in range(n):
                 work.segments[s].validity = NOTHING
         taken = inputs.readings_end[t]
+
         _statuses(held, status)
         publish_covariances(body, state, tuning, work)
         _outputs(
@@ -229,6 +239,7 @@ def _advance(
             outputs.sigma[first + t],
         )  # fmt: skip
         mark_unaided(body, state, tuning, work, status)
+
         if len(covariance) > 0:
             for s in range(n):
                 _own_covariance(covariance[t, s, 0], state.segments[s], body.world)
@@ -238,9 +249,10 @@ def _advance(
 
 @compiled
 def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """dt: since the frame before, s (> 0). What was observed is in ``work``; ``state`` changes.
+    """Advance the filter by one instant. The observations are read from ``work``; ``state`` changes in place.
 
-    ``U`` of each segment whose ``validity`` is FORCE then is the specific force at its proximal joint.
+    dt: time since the frame before, s (> 0). Afterwards ``U`` of each segment whose ``validity`` is FORCE is
+    the specific force at its proximal joint.
     """
     # section 14: which sensors count
     judge_samples(work, tuning)
@@ -288,7 +300,7 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
 
 @compiled
 def _forget(work: Work) -> None:
-    """What the instant before has left."""
+    """Reset what rows of the instant before have left: evidence, aid and turns."""
     segments = work.segments
     for s in range(len(segments)):
         now = segments[s]
@@ -300,7 +312,7 @@ def _forget(work: Work) -> None:
 
 @compiled
 def _observe(work: Work, wearing: Wearing, inputs: Inputs, stood_s: FloatArray, t: int) -> None:
-    """What the modules measured at instant t, by segment and in segment axes."""
+    """Copy the measurements of instant t from modules to their segments, rotated into segment axes."""
     work.shared.sees_sun = inputs.sun.shape[1] > 0
     if work.shared.sees_sun:
         take_sun(work, wearing.module_of_segment, wearing.R_bs, inputs.sun[t])
@@ -320,7 +332,10 @@ def _observe(work: Work, wearing: Wearing, inputs: Inputs, stood_s: FloatArray, 
 
 @compiled
 def _tick(clock: Clock, time_ns: int, nominal_interval_ns: int) -> float:
-    """Seconds since the frame before; one that is not later leaves the clock as it is."""
+    """Return the time since the frame before, s. A frame that is not later leaves the clock as it is.
+
+    The first frame counts as one nominal interval after the start.
+    """
     if clock.first_ns == NEVER_NS:
         clock.last_ns, clock.first_ns = time_ns - nominal_interval_ns, time_ns
     dt = 1e-9 * float(time_ns - clock.last_ns)
@@ -331,7 +346,12 @@ def _tick(clock: Clock, time_ns: int, nominal_interval_ns: int) -> float:
 
 @compiled
 def _take(body: Body, state: State, tuning: Tuning, work: Work, dt: float, readings: FloatArray) -> None:
-    """Readings of an instant, dt (s) after the frame that the orientations are of."""
+    """Hand the readings (k, 8) of an instant to their devices, in world axes.
+
+    dt: time since the frame that the orientations belong to, s. An air velocity is rotated by the orientation
+    that the segment's last rate predicts for the time of the reading. The largest known component of the
+    standard deviation counts for all three.
+    """
     turn, value, before_s = work.shared.rotation, work.shared.reading, work.shared.time_s - dt
     for k in range(len(readings)):
         reading, d, sigma = readings[k], int(readings[k, 0]), 0.0
@@ -355,8 +375,12 @@ def _take(body: Body, state: State, tuning: Tuning, work: Work, dt: float, readi
 
 @compiled
 def _statuses(held: Filter, status: StatusArray) -> None:
-    """status (n,) ← a segment without module goes with its parent; a saturated gyroscope is none; with its
-    accelerometer saturated, or off, a segment turns by its gyroscope alone."""
+    """Set ``status`` (n,) of every segment.
+
+    PREDICTED: the module is silent or its gyroscope saturated; also a segment without a module below one that
+    has an orientation. UNAIDED: the accelerometer is saturated, so that the gyroscope alone turns the
+    segment. MISSING: before the first sample. Else the module's status.
+    """
     segments, works = held.state.segments, held.work.segments
     parents, module_of_segment = held.wearing.parents, held.wearing.module_of_segment
     for s in range(len(parents)):
@@ -375,13 +399,16 @@ def _statuses(held: Filter, status: StatusArray) -> None:
 def _outputs(
     held: Filter, q_wb: FloatArray, rate: FloatArray, acceleration: FloatArray, sigma: FloatArray
 ) -> None:
-    """(67): segments without module go with their parent; the others as the filter has them; NaN where
-    nothing is known. (n, 4), (n, 3), (n, 3), (n,)."""
+    """Fill orientation (n, 4), angular rate (n, 3), joint acceleration (n, 3) and sigma (n,), equation (67).
+
+    A segment without a module takes orientation and rate from its parent. What is undefined is NaN.
+    """
     q_wb[:], rate[:], acceleration[:], sigma[:] = np.nan, np.nan, np.nan, np.nan
     gravity, unknown = held.body.world.gravity, 2.0 * held.tuning.unknown_heading
     turned = np.zeros(4)
     segments, works = held.state.segments, held.work.segments
     parents, module_of_segment = held.wearing.parents, held.wearing.module_of_segment
+
     for s in range(len(parents)):
         segment, now, p = segments[s], works[s], parents[s]
         error = segment.compass.error
@@ -390,9 +417,11 @@ def _outputs(
             acceleration[s, 0] = c * now.U[0] + d * now.U[1] + gravity[0]
             acceleration[s, 1] = c * now.U[1] - d * now.U[0] + gravity[1]
             acceleration[s, 2] = now.U[2] + gravity[2]
+
         if segment.started != NOT_STARTED:
             P = segment.published
             sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + P[2, 2]), unknown)
+
         if module_of_segment[s] < 0:
             if p >= 0:
                 for i in range(4):
@@ -410,7 +439,11 @@ def _outputs(
 
 @compiled
 def _own_covariance(P: FloatArray, segment: Segment, world: World) -> None:
-    """P (3, 3) ← of the estimate, as other estimates are weighed against it: its heading is its compass's."""
+    """Fill P (3, 3) with the covariance of the estimate's orientation error, rad², world axes.
+
+    Smoothing weighs estimates by it. Where the field is used the variance of the heading is that of the
+    compass, if that is smaller.
+    """
     rotation_matrix.copy_into(P, segment.P)
     compass = segment.compass
     if world.uses_field and P[2, 2] > compass.error_variance:
@@ -422,8 +455,12 @@ def _own_covariance(P: FloatArray, segment: Segment, world: World) -> None:
 
 @compiled
 def publish_covariances(body: Body, state: State, tuning: Tuning, work: Work) -> None:
-    """(68): ``published`` of every segment, rad², world axes: P with the tilt as sure as the joints around it
-    agree and an accelerometer can be, and the heading as sure as its compass where the field is used."""
+    """Set ``published`` of every segment, rad², world axes, equation (68).
+
+    It is P with the tilt scaled by how well the joints around the segment agree, plus the tilt that a
+    constant error of the accelerometer leaves; the heading's variance is that of the compass where the field
+    is used, if that is smaller.
+    """
     links, segments, works = body.segments, state.segments, work.segments
     for s in range(len(links)):
         works[s].agreement, works[s].agreeing = 0.0, 0
@@ -449,7 +486,10 @@ def publish_covariances(body: Body, state: State, tuning: Tuning, work: Work) ->
 
 @compiled
 def _place(p_w: FloatArray, wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) -> None:
-    """p_w (n, 3) ← proximal joints: from the device that measures a place, else from the origin."""
+    """Fill p_w (n, 3), m, with the proximal joints.
+
+    The device that measures a position places them; without one the root is at the origin.
+    """
     carrier, shift = wearing.root_device[0], np.zeros(3)
     joint_positions_into(p_w, wearing.parents, wearing.offsets, q_wb, shift)
     if carrier >= 0:
@@ -463,7 +503,10 @@ def _place(p_w: FloatArray, wearing: Wearing, q_wb: FloatArray, root_position: F
 
 @compiled
 def mark_unaided(body: Body, state: State, tuning: Tuning, work: Work, status: StatusArray) -> None:
-    """Tells in ``status`` (n,), in place, which chains have lost all their local devices."""
+    """Mark segments of chains that have lost all their local devices.
+
+    ``status`` (n,) becomes UNAIDED, in place, where it is MEASURED or INTERPOLATED.
+    """
     links, works = body.segments, work.segments
     for s in range(len(links)):
         now, p = works[s], links[s].parent

@@ -23,12 +23,12 @@ Three = tuple[float, float, float]
 """A vector of numbers, for which no array has to be made."""
 
 
-# What rows tell
+# The information of rows
 
 
 @compiled
 def clear(evidence: Evidence) -> None:
-    """Forget all that has been told."""
+    """Set all evidence to zero."""
     for i in range(6):
         evidence.own_vector[i] = 0.0
         for j in range(6):
@@ -41,7 +41,7 @@ def clear(evidence: Evidence) -> None:
 
 @compiled
 def add_own(evidence: Evidence, row: FloatArray | Three, residual: float, variance: float) -> None:
-    """Λ_s, η_s of section 5 ← one scalar row on the orientation of a segment; row (3,)."""
+    """Add one scalar row on the orientation of a segment to Λ_s and η_s of section 5; row (3,)."""
     for i in range(3):
         evidence.own_vector[i] += row[i] * residual / variance
         for j in range(3):
@@ -56,7 +56,7 @@ def add_edge(
     residual: float,
     variance: float,
 ) -> None:
-    """Λ and η of an edge ← one scalar row on the orientations of a segment and of its parent; rows (3,)."""
+    """Add one scalar row on the orientations of a segment and its parent to the edge's Λ and η; rows (3,)."""
     for i in range(3):
         evidence.c[i] += row[i] * residual / variance
         evidence.p[i] += row_p[i] * residual / variance
@@ -68,9 +68,9 @@ def add_edge(
 
 @compiled
 def add_joint(evidence: Evidence, m: Three, residual: Three, variance: float) -> None:
-    """(13): ``residual = [m]× (δ − δ_p)``, of a segment and its parent; (3,), variance of each component.
+    """Add the row (13), ``residual = [m]× (δ − δ_p)``, of a segment and its parent.
 
-    In closed form, with ``[m]×ᵀ [m]× = (m · m) I − m mᵀ``.
+    m, residual: (3,). variance: of each component. In closed form, with ``[m]×ᵀ [m]× = (m · m) I − m mᵀ``.
     """
     weight, square = 1.0 / variance, m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
     for i in range(3):
@@ -87,7 +87,7 @@ def add_joint(evidence: Evidence, m: Three, residual: Three, variance: float) ->
 
 @compiled
 def add_known(evidence: Evidence, m: Three, residual: Three, variance: float) -> None:
-    """(14): ``residual = [m]× δ``, of a segment; (3,), variance of each component."""
+    """Add the row (14), ``residual = [m]× δ``, of a segment; m, residual (3,), variance of each component."""
     weight, square = 1.0 / variance, m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -101,9 +101,9 @@ def add_known(evidence: Evidence, m: Three, residual: Three, variance: float) ->
 
 @compiled
 def update_tree(links: Records[Link], segments: Records[Segment], work: Work) -> None:
-    """(47) to (51): find the errors, ``x`` of each segment's work; P and C of the segments change in place.
+    """Find the errors ``x`` of all segments and update P and C in place, equations (47) to (51).
 
-    The evidence is used up. Parents stand before their children; several segments may have none.
+    The evidence is used up. Parents stand before their children; several segments may have no parent.
     """
     n, works, shared = len(links), work.segments, work.shared
     for s in range(n):
@@ -131,10 +131,10 @@ def update_tree(links: Records[Link], segments: Records[Segment], work: Work) ->
 
 @compiled
 def _gather(child: Segment, now: SegmentWork, above: SegmentWork, shared: SharedWork) -> None:
-    """(47) to (49): all that is known beyond the edge is told to the parent.
+    """Pass all information from beyond the edge on to the parent, equations (47) to (49).
 
-    A priori ``x_s = A x_p + noise of covariance Σ``. With Λ the information about x_s and B that about
-    both ends, ``W = (Σ⁻¹ + Λ)⁻¹``, ``T = Λ A + B``, ``G = A − W T``; the parent is told ``Bᵀ A + Gᵀ T``: the
+    A priori ``x_s = A x_p + noise of covariance Σ``. With Λ the information about x_s and B that about both
+    ends, ``W = (Σ⁻¹ + Λ)⁻¹``, ``T = Λ A + B``, ``G = A − W T``; the parent receives ``Bᵀ A + Gᵀ T``: the
     usual ``Aᵀ Σ⁻¹ A − …`` without its difference of large numbers.
     """
     A, T, X, W, G = shared.A, shared.B, shared.X, now.W, now.G
@@ -180,7 +180,7 @@ def _gather(child: Segment, now: SegmentWork, above: SegmentWork, shared: Shared
 
 @compiled
 def _hand_down(child: Segment, parent: Segment, now: SegmentWork, above: SegmentWork) -> None:
-    """(51): what the parent has been found to be is told to the child."""
+    """Set the child's errors and covariances from those found of its parent, equation (51)."""
     # (51) x_s = G x_p + W η_s, C_s ← G P_p, P_s ← W + G C_sᵀ
     times_vector_into(now.x, now.G, above.x)
     for i in range(6):
@@ -201,11 +201,11 @@ def _add_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
 
 @compiled
 def update_outward(links: Records[Link], segments: Records[Segment], work: Work) -> None:
-    """(52), (53): the same with every segment for itself, its parent taken as found. P changes in place.
+    """Find the errors ``x`` segment by segment, each parent taken as found, (52) and (53).
 
-    The parent's orientation error is known to ``P_p``, which is handed down: integrated out of the edge's
-    evidence it leaves the information ``cc − cp (P_p⁻¹ + pp)⁻¹ cpᵀ`` about the child. What is then known of
-    the orientation, and at rest of the bias, are blocks of three of the six states.
+    P changes in place. The parent's orientation error is known to ``P_p``: integrated out of the edge's
+    evidence it leaves the information ``cc − cp (P_p⁻¹ + pp)⁻¹ cpᵀ`` about the child. The evidence then
+    concerns the orientation, and at rest the bias: blocks of three of the six states.
     """
     works, shared = work.segments, work.shared
     for s in range(len(links)):
@@ -221,7 +221,7 @@ def update_outward(links: Records[Link], segments: Records[Segment], work: Work)
 
 @compiled
 def _integrate_parent_out(parent: Segment, now: SegmentWork, above: SegmentWork, shared: SharedWork) -> None:
-    """(52), (53): adds to what is told of a segment itself what its edge tells of it."""
+    """Add the edge's evidence, its parent integrated out, to the segment's own; (52), (53)."""
     evidence, x, gain, known = now.evidence, above.x, shared.B, shared.A
     pp, cp, vector = evidence.pp, evidence.cp, evidence.own_vector
     # (P_p⁻¹ + Λ_pp)⁻¹
@@ -244,8 +244,10 @@ def _integrate_parent_out(parent: Segment, now: SegmentWork, above: SegmentWork,
 
 @compiled
 def _learn_three(P: FloatArray, information: FloatArray, first: int, shared: SharedWork) -> None:
-    """P ← (P⁻¹ + Λ)⁻¹ with Λ (6, 6) not zero only for three states from ``first`` on: ``P − P (Λ⁻¹ + P)⁻¹ P``
-    of them, in place."""
+    """Update P ← (P⁻¹ + Λ)⁻¹ in place, where Λ (6, 6) is zero but for three states from ``first`` on.
+
+    It is ``P − P (Λ⁻¹ + P)⁻¹ P`` of these states.
+    """
     S, G = shared.A, shared.X
     weakened_into(S, shared.B, information, first, P, first)
     for i in range(6):
@@ -288,8 +290,8 @@ def along(row: Row, B: FloatArray, j: int) -> float:
 def times_block(row: Row, B: FloatArray) -> Row:
     """Return a row times B (6, 6).
 
-    No element is written before all are known: the compiler, which cannot know that no output is an input,
-    then takes several columns at a time.
+    All elements are computed before any is written: the compiler, which cannot know that no output is an
+    input, then takes several columns at a time.
     """
     return (
         along(row, B, 0), along(row, B, 1), along(row, B, 2),
@@ -299,7 +301,7 @@ def times_block(row: Row, B: FloatArray) -> Row:
 
 @compiled
 def product_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
-    """C ← A B; shapes (6, 6)."""
+    """Fill C with A B; shapes (6, 6)."""
     for i in range(6):
         row = times_block((A[i, 0], A[i, 1], A[i, 2], A[i, 3], A[i, 4], A[i, 5]), B)
         C[i, 0], C[i, 1], C[i, 2], C[i, 3], C[i, 4], C[i, 5] = row
@@ -307,7 +309,7 @@ def product_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
 
 @compiled
 def symmetric_sum_into(C: FloatArray, D: FloatArray, sign: float, A: FloatArray, B: FloatArray) -> None:
-    """C ← D + sign A Bᵀ where that is known to be symmetric; shapes (6, 6). D may be C."""
+    """Fill C with D + sign A Bᵀ, which must be symmetric; shapes (6, 6). D may be C."""
     for i in range(6):
         a = A[i, 0], A[i, 1], A[i, 2], A[i, 3], A[i, 4], A[i, 5]
         row = _dot(a, B, 0), _dot(a, B, 1), _dot(a, B, 2), _dot(a, B, 3), _dot(a, B, 4), _dot(a, B, 5)
@@ -329,7 +331,7 @@ def _dot(row: Row, B: FloatArray, j: int) -> float:
 
 @compiled
 def times_vector_into(y: FloatArray, A: FloatArray, x: FloatArray) -> None:
-    """y ← A x; shapes (6,), (6, 6), (6,)."""
+    """Fill y with A x; shapes (6,), (6, 6), (6,)."""
     for i in range(6):
         y[i] = (
             (A[i, 0] * x[0] + A[i, 1] * x[1])
@@ -339,11 +341,17 @@ def times_vector_into(y: FloatArray, A: FloatArray, x: FloatArray) -> None:
 
 
 def _inverse_of(n: int) -> Callable[[FloatArray, FloatArray], None]:
-    """Return the inverse of blocks (n, n), in loops of a length that the compiler knows: twice as fast."""
+    """Return a kernel that inverts blocks (n, n).
+
+    Loops of a length that the compiler knows are twice as fast.
+    """
 
     @compiled
     def into(M: FloatArray, A: FloatArray) -> None:
-        """By Cholesky. Below the diagonal M holds L (its diagonal inverted), then L⁻¹, then L⁻ᵀ L⁻¹."""
+        """Fill M with A⁻¹, by Cholesky.
+
+        Below its diagonal M holds L (diagonal inverted), then L⁻¹, then L⁻ᵀ L⁻¹.
+        """
         for i in range(n):
             for j in range(i + 1):
                 total = A[i, j]
@@ -377,10 +385,10 @@ inverse_3_into = _inverse_of(3)
 
 @compiled
 def weakened_into(S: FloatArray, M: FloatArray, A: FloatArray, a: int, B: FloatArray, b: int) -> None:
-    """S ← (A⁻¹ + B)⁻¹ = (I + A B)⁻¹ A of symmetric blocks of three, of which either may be singular.
+    """Fill S with (A⁻¹ + B)⁻¹ = (I + A B)⁻¹ A of symmetric blocks of three, of which either may be singular.
 
-    The blocks are A[a:a+3, a:a+3], B[b:b+3, b:b+3] and S[:3, :3], which is symmetric to the last bit; M is
-    used on the way: the inverse is the matrix of cofactors over the determinant.
+    The blocks are A[a:a+3, a:a+3], B[b:b+3, b:b+3] and S[:3, :3], which is symmetric to the last bit; M (3,
+    3) or larger is overwritten: the inverse is the matrix of cofactors over the determinant.
     """
     for i in range(3):
         for j in range(3):
