@@ -135,7 +135,9 @@ def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], pa
     n_points = int(_number(parameters, "POINT:USED", float(words[1])))
     start = int(_number(parameters, "POINT:DATA_START", float(words[8])))
     if n_points <= 0 or n_frames <= 0:
-        raise FormatError(f"{path}: {n_points} points in {n_frames} frames: no marker trajectories")
+        raise FormatError(
+            f"{path}: {n_points} points in {n_frames} frames: no marker trajectories: export it with them"
+        )
     if scale == 0 or not np.isfinite(scale) or start < 1:
         raise FormatError(f"{path}: POINT:SCALE {scale:g}, POINT:DATA_START {start}: the file is damaged")
     return C3DLayout(n_points, int(words[2]), n_frames, scale, (start - 1) * BLOCK, processor, first)

@@ -63,7 +63,7 @@ def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
     Raises ``GatewayError`` where the markers that would tell are not there.
     """
     low, high = (_middle(marker_set, trial, labels) for labels in marker_set.file.vertical)
-    if not np.isfinite(high - low).all():
+    if not (np.abs(high - low) > 0.0).any():  # unknown, or the root's markers stand for both
         feet, top = (" or ".join(labels) for labels in marker_set.file.vertical)
         raise GatewayError(
             f"{trial.name}: which axis points up is not seen without {feet} and {top}: tell it with --up"

@@ -284,13 +284,19 @@ def test_markers_without_a_subject_are_refused() -> None:
 
 def test_trials_without_the_sets_markers_are_one_clear_error() -> None:
     marker_set = load_marker_set("plug_in_gait")
-    trial = MarkerTrial("odd", ("A", "B"), 100.0, np.ones((3, 2, 3)))
+    places = np.random.default_rng(0).random((3, 4, 3))
+    trial = MarkerTrial("odd", ("A", "B"), 100.0, places[:, :2])
     with pytest.raises(GatewayError, match="none of the markers of 'plug_in_gait' is in it; it has A, B"):
         fit_body(marker_set, [trial])
     arm = replace(trial, labels=("LUPA", "LELB"))
-    with pytest.raises(GatewayError, match=r"none of its pelvis .*; it has LUPA, LELB"):
+    with pytest.raises(
+        GatewayError, match=r"which axis points up is not seen without LHEE .*: tell it with --up"
+    ):
         fit_body(marker_set, [arm])
-    pelvis = MarkerTrial("odd", ("LASI", "RASI", "LPSI", "RPSI"), 100.0, np.ones((3, 4, 3)))
+    arms = replace(trial, labels=("LELB", "RELB"))
+    with pytest.raises(GatewayError, match=r"none of its thorax .*; it has LELB, RELB"):
+        fit_body(marker_set, [arms])
+    pelvis = MarkerTrial("odd", ("LASI", "RASI", "LPSI", "RPSI"), 100.0, places)
     with pytest.raises(GatewayError, match="no measurement 'left_kne_width'"):
         fit_body(marker_set, [pelvis], FitOptions(vertical="z", lengths={"left_kne_width": 0.1}))
 
