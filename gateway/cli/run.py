@@ -17,11 +17,13 @@ from rich.table import Table
 
 from gateway.cli.preparing import make_ready, report_compiling, stand_in
 from gateway.errors import GatewayError
+from gateway.reconstruction import OPTICAL
 from gateway.service.systemd import feed_watchdog, notify
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
 from gateway.support.log_format import set_up_logging
 
 if TYPE_CHECKING:
+    from gateway.body.skeleton import WornSuit
     from gateway.service.service import Service
 
 
@@ -42,20 +44,30 @@ def run(
     configuration that is wrong is reported, and the service goes on with the one it has.
     """
     from gateway.body.rig import load_rig
-    from gateway.service import readiness
     from gateway.service.remote_configuration import go_back_if_unconfirmed
 
     go_back_if_unconfirmed(config)
     configured = load_gateway_settings(config)
     suit = load_rig(configured.rig, config)
-    wanted = fitting_suit(configured, suit).reconstructor
-    if suit.sun is not None and suit.sun.beside_magnetometer:
-        make_ready(wanted)  # the one that would stand in for it cannot use both fields
-    is_ready = readiness.is_ready(wanted)
+    awaited = _awaited(fitting_suit(configured, suit).reconstructor, suit)
     set_up_logging(configured.log.level, configured.log.format)
-    service = _load(config, awaited=None if is_ready else wanted)
+    service = _load(config, awaited=awaited)
     _tell(service)
-    asyncio.run(_Supervisor(config, service, None if is_ready else wanted).run())
+    asyncio.run(_Supervisor(config, service, awaited).run())
+
+
+def _awaited(wanted: str, suit: WornSuit) -> str | None:
+    """Return the method that another one stands in for until it is compiled; None: it can begin.
+
+    One that no other can stand in for is compiled here: of markers, and where both fields are used. What
+    cameras need is compiled with their first pictures.
+    """
+    from gateway.service import readiness
+
+    has_no_stand_in = wanted == OPTICAL or (suit.sun is not None and suit.sun.beside_magnetometer)
+    if has_no_stand_in and suit.video is None:
+        make_ready(wanted)
+    return None if has_no_stand_in or readiness.is_ready(wanted) else wanted
 
 
 def _load(config: Path, awaited: str | None = None) -> Service:
