@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import aiomqtt
@@ -128,23 +128,12 @@ async def _ask(gateway: _Gateway, verb: str, wanted: str, payload: bytes) -> Non
     await gateway.responder.stop()
 
 
-class _Broker:
-    """A connection over which one message comes."""
-
-    def __init__(self, message: aiomqtt.Message) -> None:
-        self.messages = self._one(message)
-        self._queue: asyncio.Queue[aiomqtt.Message] = asyncio.Queue()
-
-    async def _one(self, message: aiomqtt.Message) -> AsyncIterator[aiomqtt.Message]:
-        yield message
-
-
 def published(data: bytes) -> None:
     """First byte: which topic. The rest is a message, taken or counted as undecodable, and nothing else."""
     subscriber = PoseSubscriber(MqttSettings())
     topic = _TOPICS[data[0] % len(_TOPICS)] if data else "pose"
     message = aiomqtt.Message(f"mocap/g/{topic}", data[1:], 0, False, 0, None)
-    _runner.run(subscriber._receive(_Broker(message)))  # type: ignore[arg-type]
+    subscriber._read(message)
     kept = [subscriber.states, subscriber.infos, subscriber.healths, subscriber.bodies]
     taken = sum(map(len, kept)) + len(subscriber._backlog)
     assert taken + subscriber.undecodable == (topic != "anything"), (topic, data[1:])

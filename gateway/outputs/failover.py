@@ -254,7 +254,7 @@ class ClusterConnection:
     async def _compare(self, used: aiomqtt.Client, ready: _Ready, of: Companions) -> None:
         """Find out time and again whether two nodes hear each other."""
 
-        def told(is_heard: bool) -> None:
+        def report(is_heard: bool) -> None:
             self._is_echo_heard |= is_heard
             if self.is_apart != is_heard or not self._is_echo_heard:
                 return
@@ -266,7 +266,7 @@ class ClusterConnection:
             if of.beside is not None:
                 of.beside(None if is_heard else ready.client)
 
-        echo = _Echo(f"{self._echo_topic}/{secrets.token_hex(4)}", told, of.confirm)
+        echo = _Echo(f"{self._echo_topic}/{secrets.token_hex(4)}", report, of.confirm)
         await ready.client.subscribe(echo.topic)
         if of.prepare is not None:
             await of.prepare(ready.client)
@@ -280,10 +280,10 @@ class _Echo:
     """In a row, after which it stays away. Our own pauses cost one."""
     REMEMBERED = 100
 
-    def __init__(self, topic: str, told: Callable[[bool], None], confirm: Confirm | None) -> None:
-        """topic: of this pair of connections alone. told: whether it is heard."""
+    def __init__(self, topic: str, report: Callable[[bool], None], confirm: Confirm | None) -> None:
+        """topic: of this pair of connections alone. report: given whether it is heard."""
         self.topic = topic
-        self._told = told
+        self._report = report
         self._confirm = confirm
         self._said: dict[int, float] = {}
         self._number = self._heard = 0
@@ -298,7 +298,7 @@ class _Echo:
             used._client.publish(self.topic, EchoMessage(number=self._number).payload())
             await asyncio.sleep(within_s / self.MISSED)
             if self._number - self._heard >= self.MISSED:
-                self._told(False)
+                self._report(False)
 
     async def listen(self, ready: aiomqtt.Client, take: Callable[[aiomqtt.Message], None] | None) -> None:
         """Take what is heard; for ever. Raises ``aiomqtt.MqttError`` when the connection is lost."""
@@ -317,7 +317,7 @@ class _Echo:
         if said_s is None:
             return
         self._heard = max(self._heard, number)
-        self._told(True)
+        self._report(True)
         if self._confirm is not None:
             self._confirm(said_s)
 

@@ -75,8 +75,14 @@ async def test_every_message_is_what_its_model_says(
         segment_rate=10,
         predict_ms=20,
     )
-    # Of two gateways; of a body with markers; of a robot; of a broker that was away.
-    others = {topics.COMPARISON, topics.MARKERS, topics.ROBOT, topics.LATE_POSE}
+    # Of two gateways; of a body with markers; of a robot; of a broker that was away; of a cluster.
+    others = {
+        topics.COMPARISON,
+        topics.MARKERS,
+        topics.ROBOT,
+        topics.LATE_POSE,
+        topics.BRIDGE_ECHO,
+    }
     own = [publication for publication in PUBLICATIONS if publication.topic not in others]
     published = {f"mocap/lab/{p.topic.format(id=7, name='segment_3')}": p for p in own}
     async with broker_connection(settings, mosquitto.port, "reader") as reader:

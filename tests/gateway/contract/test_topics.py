@@ -25,7 +25,7 @@ def test_topics_are_those_of_the_contract() -> None:
     named |= {topics.comparison, topics.markers}
     named |= {topics.predicted_pose, topics.predicted_pose_msgpack}
     assert {"mocap/lab/pose/predicted", "mocap/lab/pose/predicted/msgpack"} <= named
-    named |= {topics.robot, topics.late_pose}
+    named |= {topics.robot, topics.late_pose, f"{topics.bridge_echo}/7"}
     assert "mocap/lab/robot/joint_states" in named
     assert named == {f"{topics.root}/{each.topic.format(id=7, name='left_hand')}" for each in PUBLICATIONS}
 
