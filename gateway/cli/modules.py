@@ -68,8 +68,8 @@ def discover_modules(
         return
     if not found:
         typer.echo(
-            "no module announced itself: is it in this network, does a firewall keep UDP back? (Serial and CAN "
-            "devices do not announce themselves: their ports are in /dev/serial/by-id and `ip link`.)",
+            "no module announced itself: is it in this network, does a firewall keep UDP back? (Serial and "
+            "CAN devices do not announce themselves: their ports are in /dev/serial/by-id and `ip link`.)",
             err=True,
         )
         raise typer.Exit(1)
