@@ -103,9 +103,10 @@ async def keep_asking(
             paho._send_pingreq()
             paho.loop_write()
         asked_s = float(paho._ping_t)
-        await asyncio.wait({waiting := asyncio.ensure_future(answered.wait())}, timeout=within_s)
-        waiting.cancel()
-        if not answered.is_set():
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(within_s):
+                await answered.wait()
+        if not answered.is_set():  # both may have come while our own process paused
             raise aiomqtt.MqttError(f"the broker has not answered for {within_s:g} s")
         if on_answer is not None:
             on_answer(asked_s)
