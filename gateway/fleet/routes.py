@@ -42,16 +42,11 @@ class CuttableRoutes:
         """Return the ports by which a node reaches the others."""
         return [port for (begin, _), port in self._ports.items() if begin == index]
 
-    def cut(self, index: int) -> None:
-        """Cut one node off from all others."""
+    def cut(self, index: int | None) -> None:
+        """Cut one node off from all others, and no other one; None: let everything pass again."""
         for pair, event in self._is_open.items():
-            if index in pair:
-                self._loop.call_soon_threadsafe(event.clear)
-
-    def mend(self) -> None:
-        """Let everything pass again."""
-        for event in self._is_open.values():
-            self._loop.call_soon_threadsafe(event.set)
+            is_cut = index is not None and index in pair
+            self._loop.call_soon_threadsafe(event.clear if is_cut else event.set)
 
     def stop(self) -> None:
         """Close all connections."""

@@ -181,7 +181,7 @@ async def test_nodes_that_do_not_hear_each_other_both_get_poses(
             assert longest < RECOVER_S + 4 * lateness.worst_s
         # Its readers subscribe elsewhere, which a cluster that chooses a leader lets wait.
         await until(lambda: arrived[cut_off][-1][0] - cut_s > RECOVER_S + 2)
-        routes.mend()
+        routes.cut(None)
         last = offered[-1]
         await until(lambda: all(each[-1][1] > last + RATE_HZ for each in arrived.values()))
 
