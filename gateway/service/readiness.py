@@ -79,9 +79,10 @@ def is_ready(name: str) -> bool:
     What solves markers and cameras compiles its own few kernels as it starts: no method for modules could
     serve until then.
     """
-    if name == FIRST:
-        return readiness(FALLBACK).is_complete
-    return name not in LONG_COMPILED or readiness(name).is_complete
+    if name == FIRST and readiness(FALLBACK).is_complete:
+        return True
+    needs_kernels = name == FIRST or name in LONG_COMPILED
+    return not needs_kernels or readiness(name).is_complete
 
 
 def make_ready(
