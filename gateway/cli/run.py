@@ -67,7 +67,7 @@ def _awaited(wanted: str, suit: WornSuit) -> str | None:
     has_no_stand_in = wanted == OPTICAL or (suit.sun is not None and suit.sun.beside_magnetometer)
     if has_no_stand_in and suit.video is None:
         make_ready(wanted)
-    return None if has_no_stand_in or readiness.is_ready(wanted) else wanted
+    return None if readiness.is_ready(wanted) else wanted
 
 
 def _load(config: Path, awaited: str | None = None) -> Service:
@@ -164,9 +164,9 @@ class _Supervisor:
         service.own_requests.on_reload = self._read_anew
         service.own_requests.on_examine = partial(examined, service)
         service.own_requests.on_connect = PortChoice(self._config, service, self._read_anew).connect
-        # As a task, so that a new configuration or a signal can end it.
         service.own_requests.on_configure = self._remote.configure
         service.own_requests.on_confirm = self._remote.confirm
+        # As a task, so that a new configuration or a signal can end it.
         self._task = asyncio.ensure_future(service.run())
         notify("READY=1", f"STATUS=publishing, configuration {self._config}")
         try:

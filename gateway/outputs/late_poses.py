@@ -25,6 +25,7 @@ from gateway.contract.topics import Topics
 from gateway.errors import OutputError
 from gateway.outputs.pose_encoding import Outgoing
 from gateway.outputs.settings import LateSettings
+from gateway.support.whole_files import write_whole
 
 CONFIRMED_S = 0.5
 """An answer confirms what was published so long before: the broker has passed that on to its cluster too."""
@@ -130,9 +131,7 @@ class LatePoses:
         if self._taken:
             self._file.seek(self._taken)
             rest = self._file.read()
-            other = self._path.with_suffix(".rest")
-            other.write_bytes(rest)
-            other.replace(self._path)
+            write_whole(self._path, rest)
         self._file.close()
 
 
