@@ -98,17 +98,20 @@ lint: install-dev
 	$(BIN)/codespell $(SPELT)
 
 # Linted beside the tests, for neither waits for the other; many tests wait: two workers a core keep it busy. Browsers
-# come after the rest: without a graphics card they take every core from modules whose samples come in real time.
+# come after the rest: without a graphics card they take every core from modules whose samples come in real time. What
+# failed is named once more at the very end, where who reads a long log looks first.
 CORES := $(shell getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2)
 WORKERS := $(shell expr 2 \* $(CORES))
 PYTEST_ALL = $(BIN)/python -m pytest --dist worksteal --durations 10 $(TESTS)
 NONE := 5# what pytest ends with where it was asked for no test
 test: install-dev system-tools
 	@mkdir -p build; $(MAKE) -s lint > build/lint.log 2>&1 & lint=$$!; \
-	$(PYTEST_ALL) -n $(WORKERS) -m "not slow and not browser"; tests=$$?; \
-	$(PYTEST_ALL) -n $(CORES) -m "browser and not slow"; pages=$$?; \
+	$(PYTEST_ALL) -n $(WORKERS) -m "not slow and not browser" | tee build/tests.log; tests=$${PIPESTATUS[0]}; \
+	$(PYTEST_ALL) -n $(CORES) -m "browser and not slow" | tee build/pages.log; pages=$${PIPESTATUS[0]}; \
 	[ $$tests != $(NONE) ] || tests=$$pages; [ $$pages != $(NONE) ] || pages=$$tests; \
-	wait $$lint; lint=$$?; cat build/lint.log; exit $$((tests ? tests : pages ? pages : lint))
+	wait $$lint; lint=$$?; cat build/lint.log; \
+	grep -hE "^(FAILED|ERROR) " build/tests.log build/pages.log | cut -c -200; \
+	exit $$((tests ? tests : pages ? pages : lint))
 
 test-all: test test-slow
 
