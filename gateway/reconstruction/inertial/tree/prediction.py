@@ -201,7 +201,7 @@ def _turn_as_clipped(segment: Segment, now: SegmentWork, tuning: Tuning, dt: flo
 
 @compiled
 def missed_square(segment: Segment, tuning: Tuning) -> float:
-    """Return V' of (69), rad²: by what a gyroscope at the end of its range may have missed the turn by now."""
+    """Return V_c of (69), rad², of what a gyroscope at the end of its range may have missed by now."""
     gap, slope_square = segment.gap, 0.0
     for i in range(3):
         slope_square += gap.slope[i] ** 2
@@ -218,20 +218,20 @@ def _make_up(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> f
     Return the variance that the step adds, rad². The rate is taken to have gone as the cubic through values
     and slopes at both ends. Only axes that were at the end of their range are made up for, outward.
     """
-    gap, w, missed_square_now = segment.gap, now.mean_rate, segment.gap.missed
-    T, square = gap.seconds, 0.0
+    gap, w = segment.gap, now.mean_rate
+    missed, lasted_s, square = gap.missed, gap.seconds, 0.0
     gap.missed = 0.0
     for i in range(3):
         now.bridge[i] = gap.turn[i] + w[i] * dt
-    if T > tuning.longest_clip_s or not is_finite(gap.slope):
-        return float(missed_square_now)
+    if lasted_s > tuning.longest_clip_s or not is_finite(gap.slope):
+        return float(missed)
     for k in range(3):
         axis, along, turned = gap.clipped_axes[k], 0.0, 0.0
         for i in range(3):
             slope = (now.angular_rate[i] - segment.rate[i]) / dt
             # (70)  T / 2 (ω_0 + ω_1) + T² / 12 (ω̇_0 − ω̇_1) − b T
-            whole = T * (0.5 * (gap.rate[i] + segment.rate[i]) - segment.bias[i])
-            whole += T**2 / 12.0 * (gap.slope[i] - slope)
+            whole = lasted_s * (0.5 * (gap.rate[i] + segment.rate[i]) - segment.bias[i])
+            whole += lasted_s**2 / 12.0 * (gap.slope[i] - slope)
             along += axis[i] * (whole - gap.turn[i])
             turned += axis[i] * gap.turn[i]
         if along * turned > 0.0:
@@ -239,7 +239,8 @@ def _make_up(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> f
             for i in range(3):
                 now.bridge[i] += axis[i] * along
                 w[i] += axis[i] * along / dt
-    return float(tuning.missed_share**2 * square)
+    # a cubic that says that nothing was missed does not fit
+    return float(tuning.missed_share**2 * square if square > 0.0 else missed)
 
 
 @compiled
