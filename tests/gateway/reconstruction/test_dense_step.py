@@ -184,12 +184,13 @@ class Checked:
 
     def made_up(self, before, now, w, density, tuning, dt):
         """(70): the cubic's turn, less what was turned by, along axes that were clipped, and outward."""
-        gap, T = before.gap, before.gap.seconds
-        if T > tuning.longest_clip_s or not np.isfinite(gap.slope).all():
+        gap, lasted_s = before.gap, before.gap.seconds
+        if lasted_s > tuning.longest_clip_s or not np.isfinite(gap.slope).all():
             return w, density + gap.missed / dt
         self.compared["made_up"] += 1
         slope = (now.angular_rate - before.rate) / dt
-        whole = T / 2.0 * (gap.rate + before.rate) + T**2 / 12.0 * (gap.slope - slope) - before.bias * T
+        whole = lasted_s / 2.0 * (gap.rate + before.rate) - before.bias * lasted_s
+        whole = whole + lasted_s**2 / 12.0 * (gap.slope - slope)
         along = gap.clipped_axes @ (whole - gap.turn)
         along = np.where(along * (gap.clipped_axes @ gap.turn) > 0.0, along, 0.0)
         added = gap.clipped_axes.T @ along

@@ -204,9 +204,7 @@ class Gap(Record):
     slope: Vector  # and its change over the step before, rad/s²; NaN: not known
     turn: Vector  # by what the segment has been turned since, segment axes, rad
     cause: int  # Clip
-    clipped_axes: (
-        Matrix  # rows: axes of the gyroscope that came to the end of their range, segment axes, or 0
-    )
+    clipped_axes: Matrix  # rows: axes that came to the end of their range, segment axes, or 0
     missed: float  # variance of what the gyroscope has not shown since, not in P yet, rad²
 
 

@@ -68,7 +68,7 @@ INTERPOLATED, MISSING, PREDICTED, UNAIDED = (
 FORCE, NOTHING, RATE = Validity.FORCE.value, Validity.NOTHING.value, Validity.RATE.value
 RATE_CLIPPED = Clipped.ANGULAR_RATE.value
 SAME_END = 0.95
-"""Of the largest axis of a clipped gyroscope, from where another counts as clipped too: skewed axes differ."""
+"""Of the largest axis of a clipped gyroscope, from where another is clipped too: skewed axes differ."""
 SHORTEST_STEP_S = 1e-5
 
 

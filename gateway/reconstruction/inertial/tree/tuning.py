@@ -107,10 +107,7 @@ class Tuning(Record):
         0.4, "s", "at the end of a range, over which a rate is taken for a cubic", MOTION
     )
     missed_share: float = constant(
-        0.25,
-        "1",
-        "of what a gyroscope is found to have missed, its error",
-        "cubics through simulated motions",
+        0.25, "1", "error of what a gyroscope is found to have missed", "cubics in simulated motion"
     )
 
     # silence and start
