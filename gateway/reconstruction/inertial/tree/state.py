@@ -197,7 +197,7 @@ class Corrections(Record):
 
 
 class Gap(Record):
-    """A time without a rate, while it lasts: the module is silent, or its gyroscope at the end of its range."""
+    """A time without a rate: the module is silent, or its gyroscope is at the end of its range."""
 
     seconds: float  # since the last rate, 0: none
     rate: Vector  # that rate, bias included, rad/s
