@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import yaml
 
 from benchmarks.never_worse import store
@@ -12,6 +14,8 @@ from benchmarks.never_worse.case import Case, in_turned_world
 from benchmarks.never_worse.losses import with_losses
 from benchmarks.never_worse.recordings import FAMILIES
 from benchmarks.never_worse.simulated import KINDS
+from gateway.frames import ANGULAR_RATE, INERTIAL_SAMPLE, SPECIFIC_FORCE
+from gateway.stages.clipping import RangeWatch
 
 FILE = Path(__file__).with_name("split.yaml")
 PARTS = ("training", "validation")
@@ -46,7 +50,21 @@ def named(*parts: str) -> list[Named]:
 def case(name: str) -> Case:
     """Return the case of that name, kept on disk. Raises ``FileNotFoundError`` or ``ValueError`` where the
     recording is not there."""
-    return store.kept(f"case-{name}-{store.code_digest()}", lambda: _made(name))
+    return store.kept(f"case-{name}-{store.code_digest()}", lambda: _watched(_made(name)))
+
+
+def _watched(case: Case) -> Case:
+    """Return the case with samples marked that are at the end of a range, as the service marks them."""
+    n_modules = len(case.frames[0].specific_force)
+    samples = np.zeros((len(case.frames), n_modules), INERTIAL_SAMPLE)
+    samples["module"], samples["sequence"] = np.arange(n_modules), np.arange(len(case.frames))[:, None]
+    samples["measured"][:, :, SPECIFIC_FORCE] = [frame.specific_force for frame in case.frames]
+    samples["measured"][:, :, ANGULAR_RATE] = [frame.angular_rate for frame in case.frames]
+    is_there = np.isfinite(samples["measured"][:, :, ANGULAR_RATE]).all(axis=2)
+    clipped = np.zeros(samples.shape, np.uint8)
+    clipped[is_there] = RangeWatch({}).add(samples[is_there])["clipped"]
+    frames = [replace(frame, clipped=ends) for frame, ends in zip(case.frames, clipped, strict=True)]
+    return replace(case, frames=frames)
 
 
 def _made(name: str) -> Case:

@@ -25,6 +25,7 @@ CODE = (
     "benchmarks/never_worse/case.py",
     "benchmarks/never_worse/recordings.py",
     "benchmarks/never_worse/simulated.py",
+    "benchmarks/never_worse/split.py",
     "config",
     "devices/emulators",
     "firmware_protocol",

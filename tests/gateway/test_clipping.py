@@ -165,7 +165,7 @@ def test_lost_samples_are_no_step():
 
 
 @pytest.mark.parametrize("is_stated", [False, True])
-def test_frames_are_marked_only_where_the_rig_states_the_range(is_stated):
+def test_frames_are_marked_whether_the_rig_states_the_range_or_not(is_stated):
     suit = load_rig("single_placed")
     module = suit.module_ids[0]
     ranges = {module: SensorRanges(angular_rate=LIMIT)} if is_stated else {}
@@ -176,5 +176,5 @@ def test_frames_are_marked_only_where_the_rig_states_the_range(is_stated):
     frames = []
     for k in range(len(sent)):
         frames += stage.add([InertialBatch(sent[k : k + 1])], int(sent["time_ns"][k]))
-    assert any(frame.clipped is not None for frame in frames) == is_stated
+    assert any(frame.clipped is not None for frame in frames)
     assert stage.statistics()["clipped"][str(module)]["angular_rate_samples"] > 0

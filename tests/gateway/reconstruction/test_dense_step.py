@@ -20,7 +20,7 @@ from gateway.frames import Clipped, Status, SunSight
 from gateway.reconstruction.inertial.tree import devices, rows
 from gateway.reconstruction.inertial.tree import step as tree_step
 from gateway.reconstruction.inertial.tree.reconstructor import JointReconstructor, OutwardReconstructor
-from gateway.reconstruction.inertial.tree.state import Heading, Started, Validity
+from gateway.reconstruction.inertial.tree.state import Clip, Heading, Started, Validity
 
 N_FRAMES = 250
 
@@ -87,6 +87,13 @@ def learnt(P, A, residual, off, memory, learning, huber):
     return e, P, added
 
 
+def missed(slope, seconds, tuning):
+    """(69): variance of what a gyroscope at its end has missed."""
+    noise = tuning.saturated_noise**2 * seconds
+    square = slope @ slope * seconds**4 / 9.0
+    return min(square, noise) if np.isfinite(square) else noise
+
+
 def own(work):
     """Copies of what segments have been told of themselves."""
     told = work.segments["evidence"]
@@ -145,17 +152,26 @@ class Checked:
             self.compared["coast"] += 1
             w = (before.rate - before.bias) * np.exp(-dt / memory_s)
             return w, (coasted(gap + dt) - coasted(gap)) / dt
-        is_bridged = gap > 0.0 and now.validity >= Validity.RATE
-        self.compared["bridge" if is_bridged else "predict"] += 1
+        is_made_up = before.gap.cause == Clip.LEFT
+        is_bridged = gap > 0.0 and now.validity >= Validity.RATE and not is_made_up
         lasted = dt + gap if is_bridged else dt
         last = last if is_bridged else before.rate
-        slope = before.rate_slope if gap <= tuning.longest_bridge_s else np.full(3, np.nan)
+        slope = before.rate_slope if not is_bridged or gap <= tuning.longest_bridge_s else np.full(3, np.nan)
         a, b, change = last - before.bias, now.angular_rate - before.bias, now.angular_rate - last
         w = (a + b) / 2.0 + np.cross(a, b) * lasted / 12.0
         w = w - np.nan_to_num(change - slope * lasted) / 12.0
         density = tuning.gyroscope**2 + (tuning.gyroscope_scale**2 * (w @ w)) * tuning.scale_memory_s
         if now.validity == Validity.SATURATED_RATE:
-            density += tuning.saturated_noise**2
+            self.compared["clipped"] += 1
+            if gap + dt > tuning.longest_clip_s:  # (69)
+                start = before.gap.slope if gap > 0.0 else before.rate_slope
+                grown = missed(start, gap + dt, tuning) - missed(start, gap, tuning)
+                density += (grown + (before.gap.missed if gap > 0.0 else 0.0)) / dt
+            return w, density
+        if is_made_up:
+            density += before.corrections.gyroscope * (change @ change) * lasted
+            return self.made_up(before, now, w, density, tuning, dt)
+        self.compared["bridge" if is_bridged else "predict"] += 1
         density += before.corrections.gyroscope * (change @ change) * lasted
         if not is_bridged:
             return w, density
@@ -165,6 +181,22 @@ class Checked:
         off = square * memory_s * (lasted - known_s)  # known at both ends
         variance = density * lasted + max(off - coasted(gap), 0.0)
         return (whole - before.gap.turn) / dt, variance / dt
+
+    def made_up(self, before, now, w, density, tuning, dt):
+        """(70): the cubic's turn, less what was turned by, along axes that were clipped, and outward."""
+        gap, lasted_s = before.gap, before.gap.seconds
+        if lasted_s > tuning.longest_clip_s or not np.isfinite(gap.slope).all():
+            return w, density + gap.missed / dt
+        self.compared["made_up"] += 1
+        slope = (now.angular_rate - before.rate) / dt
+        whole = lasted_s / 2.0 * (gap.rate + before.rate) - before.bias * lasted_s
+        whole = whole + lasted_s**2 / 12.0 * (gap.slope - slope)
+        along = gap.clipped_axes @ (whole - gap.turn)
+        along = np.where(along * (gap.clipped_axes @ gap.turn) > 0.0, along, 0.0)
+        added = gap.clipped_axes.T @ along
+        np.testing.assert_allclose(now.bridge, gap.turn + w * dt + added, atol=1e-13)
+        square = along @ along
+        return w + added / dt, density + (tuning.missed_share**2 * square if square > 0 else gap.missed) / dt
 
     def average(self, state, tuning, work, dt):
         before = state.segments.copy()
@@ -332,7 +364,7 @@ class Checked:
                 continue
             segment, window_s = state.segments[s], tuning.unaided_window_s
             fades = was[s].starting_square * np.exp(-dt / tuning.starting_memory_s)
-            lasted_s = max(segment.averages.seconds, dt)
+            lasted_s = max(segment.averages.long_seconds, dt)
             square = max(tuning.least_acceleration**2, fades, rows.LEAST_SQUARE)
             if lasted_s < window_s:
                 square = max(square, (tuning.unaided_speed / lasted_s) ** 2)
@@ -341,7 +373,7 @@ class Checked:
                 body.world.at_rest,
                 segment.P[0, 0] + segment.P[1, 1],
             )
-            if segment.averages.seconds >= window_s and tilt <= tuning.aided_tilt**2:
+            if segment.averages.long_seconds >= window_s and tilt <= tuning.aided_tilt**2:
                 self.compared["seen"] += 1
                 seen, old = np.mean((u - at_rest) ** 2), was[s].unaided_square
                 expected = old + (1.0 - np.exp(-dt / tuning.acceleration_memory_s)) * (seen - old)  # (40)
@@ -602,7 +634,7 @@ LEAST = {
     "start": 20, "joint_row": 500, "open_joint_row": 1000, "heading": 1000, "joint_arms": 200,
     "fixed_point": 150, "pair": 60, "device": 3, "open_device": 50, "stance": 250, "zero_rate_watch": 4000,
     "zero_rate": 1000, "unaided": 40, "seen": 500, "starting": 100, "sun": 60, "corrections": 20,
-    "compass": 4000,
+    "compass": 4000, "clipped": 300, "made_up": 6,
 }  # fmt: skip
 """How often each has to be compared over the chains: a reference that is hardly asked guards nothing."""
 UPDATES = {JointReconstructor: ("update", 8000), OutwardReconstructor: ("outward", 2500)}
@@ -621,7 +653,7 @@ def disturbed(chain):
     for k, frame in enumerate(frames):
         if k > N_FRAMES // 3:
             silent = np.where(rng.random(silent.shape) < 0.007, rng.choice([1, 4, 10, 120]), silent - 1)
-            clipped = np.where(rng.random(clipped.shape) < 0.005, rng.choice([1, 10]), clipped - 1)
+            clipped = np.where(rng.random(clipped.shape) < 0.005, rng.choice([1, 10, 60]), clipped - 1)
         force = np.where(silent[:, None] > 0, np.nan, frame.specific_force)
         status = np.where(silent > 0, Status.MISSING, frame.status).astype(np.uint8)
         at_end = np.where(clipped > 0, Clipped.ANGULAR_RATE, 0).astype(np.uint8)

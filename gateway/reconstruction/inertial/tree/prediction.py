@@ -19,6 +19,7 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite, norm
 from gateway.reconstruction.inertial.tree.state import (
     Body,
+    Clip,
     Corrections,
     Heading,
     Segment,
@@ -35,6 +36,7 @@ from gateway.reconstruction.inertial.tree.tuning import Tuning
 RATE_CLIPPED, FORCE_CLIPPED = Clipped.ANGULAR_RATE.value, Clipped.SPECIFIC_FORCE.value
 OBSERVED = Heading.OBSERVED.value
 AIR_VELOCITY = Quantity.AIR_VELOCITY.value
+CLIP_NONE, CLIP_LASTS, CLIP_LEFT = Clip.NONE.value, Clip.LASTS.value, Clip.LEFT.value
 STARTS_AGAIN, NOT_STARTED = Started.AGAIN.value, Started.NO.value
 FORCE, NOTHING, RATE, SATURATED_RATE = (
     Validity.FORCE.value,
@@ -45,22 +47,30 @@ FORCE, NOTHING, RATE, SATURATED_RATE = (
 
 
 @compiled
-def judge_samples(work: Work, tuning: Tuning) -> None:
+def judge_samples(state: State, work: Work, tuning: Tuning) -> None:
     """Set ``validity`` of each segment to what of its module's sample counts.
 
     A sensor is at the end of its range where its module says so, and at the largest range of any sensor.
     """
     works = work.segments
     for s in range(len(works)):
-        now = works[s]
-        now.validity = NOTHING
+        now, gap = works[s], state.segments[s].gap
+        now.validity, now.is_felt = NOTHING, 0
         if now.status <= 1 and is_finite(now.angular_rate):
             now.validity = RATE
-            is_usable = is_finite(now.specific_force) and now.clipped & FORCE_CLIPPED == 0
+            if is_finite(now.specific_force) and now.clipped & FORCE_CLIPPED == 0:
+                now.is_felt = 0 if exceeds(now.specific_force, tuning.largest_force) else 1
             if exceeds(now.angular_rate, tuning.largest_rate) or now.clipped & RATE_CLIPPED > 0:
                 now.validity = SATURATED_RATE
-            elif is_usable and not exceeds(now.specific_force, tuning.largest_force):
+            elif now.is_felt:
                 now.validity = FORCE
+        if now.validity == SATURATED_RATE:
+            gap.cause = CLIP_LASTS
+        elif now.validity >= RATE and gap.cause == CLIP_LASTS:
+            # what the gyroscope has missed is known with the slope of its rate, from the next sample on
+            gap.cause, now.validity = CLIP_LEFT, SATURATED_RATE
+        elif now.validity == NOTHING and gap.cause == CLIP_LEFT:
+            gap.cause = CLIP_LASTS
 
 
 @compiled
@@ -78,8 +88,10 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
         if segment.started == NOT_STARTED:
             continue
         rotation_matrix.copy_into(now.before, segment.R)
-        if now.validity > NOTHING:
+        if now.validity >= RATE:
             density = _turn_as_measured(segment, now, tuning, dt)
+        elif now.validity == SATURATED_RATE:
+            density = _turn_as_clipped(segment, now, tuning, dt)
         else:
             density = _coast(segment, now, tuning, dt)
         now.density = density
@@ -105,14 +117,10 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
     """Set ``now.mean_rate`` by the gyroscope, (2); return its noise, (rad/s)²/Hz, (5)."""
     lasted_s, gap = _end_gap(segment, now, tuning, dt), segment.gap
     _mean_rate(segment, now, lasted_s)
-    speed = norm(now.mean_rate)
-    # (5)  σ_ω² + (κ ‖w‖)² τ_κ; at the end of its range a gyroscope is noise
-    density = tuning.gyroscope**2 + (tuning.gyroscope_scale * speed) ** 2 * tuning.scale_memory_s
-    if now.validity < RATE:
-        density += tuning.saturated_noise**2
-        segment.silent_s += dt
-    else:
-        segment.silent_s = 0.0
+    density = gyroscope_density(now, tuning)
+    if gap.cause == CLIP_LEFT:
+        density += _make_up(segment, now, tuning, dt) / dt
+    segment.silent_s = 0.0
     change = 0.0
     for i in range(3):
         step = now.angular_rate[i] - segment.rate[i]
@@ -120,31 +128,119 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
         segment.rate_slope[i], segment.rate[i] = step / lasted_s, now.angular_rate[i]
     # (5)  … + ν_s ‖ω_k − ω_{k−1}‖² Δt
     density += gyroscope_inflation(segment, change, lasted_s)
-    if now.bridged_s > 0.0:
+    if now.bridged_s > 0.0 and gap.cause == CLIP_NONE:
         density = _bridge(segment, now, tuning, density * lasted_s, lasted_s) / dt
-    gap.seconds = 0.0
+    gap.seconds, gap.cause = 0.0, CLIP_NONE
     return float(density)
+
+
+@compiled
+def gyroscope_density(now: SegmentWork, tuning: Tuning) -> float:
+    """Return the noise of a gyroscope within its range, (rad/s)²/Hz, the first terms of (5)."""
+    # (5)  σ_ω² + (κ ‖w‖)² τ_κ
+    return float(
+        tuning.gyroscope**2 + (tuning.gyroscope_scale * norm(now.mean_rate)) ** 2 * tuning.scale_memory_s
+    )
 
 
 @compiled
 def _end_gap(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
     """Return the time since the sample with which this one gives the mean rate, s.
 
-    It is dt, or more where a gap ends. Where a gap ends, ``now.bridged_s`` is set to its length, else to 0.
-    The sample of a saturated gyroscope bridges no gap.
+    It is dt, or more where a silence ends. Where a gap ends, ``now.bridged_s`` is set to its length, else to
+    0.
     """
-    gap, now.bridged_s = segment.gap, 0.0
-    if gap.seconds == 0.0:
-        return dt
-    if gap.seconds > tuning.longest_bridge_s or now.validity < RATE:
-        for i in range(3):
-            segment.rate_slope[i] = np.nan
-    if now.validity < RATE:
+    gap = segment.gap
+    now.bridged_s = gap.seconds
+    if gap.seconds == 0.0 or gap.cause != CLIP_NONE:
         return dt
     for i in range(3):
+        if gap.seconds > tuning.longest_bridge_s:
+            segment.rate_slope[i] = np.nan
         segment.rate[i] = gap.rate[i]
-    now.bridged_s = gap.seconds
     return float(gap.seconds + dt)
+
+
+@compiled
+def _begin_gap(segment: Segment) -> None:
+    """Keep what bridges the gap that begins: the rate of the last sample, and its slope."""
+    gap = segment.gap
+    gap.missed = 0.0
+    for i in range(3):
+        gap.rate[i], gap.slope[i], gap.turn[i] = segment.rate[i], segment.rate_slope[i], 0.0
+        for j in range(3):
+            gap.clipped_axes[i, j] = 0.0
+
+
+@compiled
+def _turn_as_clipped(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
+    """Set ``now.mean_rate`` by a gyroscope at the end of its range, (2); return its noise, (rad/s)²/Hz.
+
+    What it misses meanwhile is kept apart, as variance in ``gap.missed``, until ``_make_up`` can say more.
+    """
+    gap = segment.gap
+    if gap.seconds == 0.0:
+        _begin_gap(segment)
+    _mean_rate(segment, now, dt)
+    for i in range(3):
+        gap.turn[i] += now.mean_rate[i] * dt
+        segment.rate[i], segment.rate_slope[i] = now.angular_rate[i], np.nan
+        if now.clipped_axes[i, 0] != 0.0 or now.clipped_axes[i, 1] != 0.0 or now.clipped_axes[i, 2] != 0.0:
+            for j in range(3):
+                gap.clipped_axes[i, j] = now.clipped_axes[i, j]
+    gap.missed -= missed_square(segment, tuning)
+    gap.seconds += dt
+    segment.silent_s += dt
+    gap.missed += missed_square(segment, tuning)
+    density = gyroscope_density(now, tuning)
+    if gap.seconds > tuning.longest_clip_s:
+        density += gap.missed / dt
+        gap.missed = 0.0
+    return density
+
+
+@compiled
+def missed_square(segment: Segment, tuning: Tuning) -> float:
+    """Return V_c of (69), rad², of what a gyroscope at the end of its range may have missed by now."""
+    gap, slope_square = segment.gap, 0.0
+    for i in range(3):
+        slope_square += gap.slope[i] ** 2
+    noise = tuning.saturated_noise**2 * gap.seconds
+    if not math.isfinite(slope_square):
+        return float(noise)
+    return float(min(slope_square * gap.seconds**4 / 9.0, noise))
+
+
+@compiled
+def _make_up(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
+    """Add to ``now.mean_rate`` what the gyroscope has missed at the end of its range, (70).
+
+    Return the variance that the step adds, rad². The rate is taken to have gone as the cubic through values
+    and slopes at both ends. Only axes that were at the end of their range are made up for, outward.
+    """
+    gap, w = segment.gap, now.mean_rate
+    missed, lasted_s, square = gap.missed, gap.seconds, 0.0
+    gap.missed = 0.0
+    for i in range(3):
+        now.bridge[i] = gap.turn[i] + w[i] * dt
+    if lasted_s > tuning.longest_clip_s or not is_finite(gap.slope):
+        return float(missed)
+    for k in range(3):
+        axis, along, turned = gap.clipped_axes[k], 0.0, 0.0
+        for i in range(3):
+            slope = (now.angular_rate[i] - segment.rate[i]) / dt
+            # (70)  T / 2 (ω_0 + ω_1) + T² / 12 (ω̇_0 − ω̇_1) − b T
+            whole = lasted_s * (0.5 * (gap.rate[i] + segment.rate[i]) - segment.bias[i])
+            whole += lasted_s**2 / 12.0 * (gap.slope[i] - slope)
+            along += axis[i] * (whole - gap.turn[i])
+            turned += axis[i] * gap.turn[i]
+        if along * turned > 0.0:
+            square += along**2
+            for i in range(3):
+                now.bridge[i] += axis[i] * along
+                w[i] += axis[i] * along / dt
+    # a cubic that says that nothing was missed does not fit
+    return float(tuning.missed_share**2 * square if square > 0.0 else missed)
 
 
 @compiled
@@ -190,8 +286,7 @@ def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> flo
     w, gap = now.mean_rate, segment.gap
     if gap.seconds == 0.0:
         # the rate below fades: what bridges the gap needs that of the last sample
-        for i in range(3):
-            gap.rate[i], gap.turn[i] = segment.rate[i], 0.0
+        _begin_gap(segment)
     for i in range(3):
         # (6)  w ← w exp(−Δt / T_c)
         w[i] = (segment.rate[i] - segment.bias[i]) * math.exp(-dt / tuning.longest_coast_s)
@@ -325,18 +420,22 @@ def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
     The averages are updated in place.
     """
     gain = 1.0 - math.exp(-dt / tuning.smoothing_s)
-    long_gain = 1.0 - math.exp(-dt / tuning.unaided_window_s)
     segments, works = state.segments, work.segments
     for s in range(len(segments)):
         segment, now = segments[s], works[s]
         averages = segment.averages
+        averages.long_waits_s += dt
+        if now.is_felt:
+            _turn_into_world(segment, now, work.shared)
+            _average_long(segment, work.shared, tuning, dt)
+        elif now.validity > NOTHING:
+            averages.long_seconds = 0.0  # what it felt at the end of its range may have been any force
         if now.validity < FORCE:
             if not is_short_gap(segment, now, tuning):
                 averages.seconds = 0.0
             continue
         is_fresh = averages.seconds == 0.0
         is_bridged = 0.0 < now.bridged_s <= tuning.longest_bridge_s and not is_fresh
-        _turn_into_world(segment, now, work.shared)
         watch_vibration(segment.vibration, work.shared.force, is_fresh or is_bridged, tuning, dt)
         if is_bridged:
             _bridge_averages(segment, now, work.shared, tuning, dt)
@@ -344,17 +443,33 @@ def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
         if is_fresh:
             _begin_averages(segment, work.shared)
         filled = _filled(averages.seconds + dt, tuning)
-        # gain of the mean over T_u: exactly a mean until T_u has passed
-        mean_gain = max(long_gain, dt / (averages.seconds + dt))
-        _average_forces(segment, work.shared, gain / filled, mean_gain)
+        _average_forces(segment, work.shared, gain / filled)
         _average_lever_arm_matrix(segment, now, work.shared, gain / dt / filled, gain)
         averages.seconds += FIRST_SAMPLE_S if is_fresh else dt
 
 
 @compiled
+def _average_long(segment: Segment, shared: SharedWork, tuning: Tuning, dt: float) -> None:
+    """Update the mean of R f over the unaided window: exactly a mean until the window has passed.
+
+    It goes on while a gyroscope is at the end of its range, and over gaps in which forces change evenly.
+    """
+    averages, lasted_s = segment.averages, segment.averages.long_waits_s
+    is_fresh = averages.long_seconds == 0.0 or lasted_s - dt > tuning.longest_bridge_s
+    averages.long_waits_s = 0.0
+    if is_fresh:
+        averages.long_seconds = 0.0
+    gain = 1.0 - math.exp(-lasted_s / tuning.unaided_window_s)
+    gain = max(gain, lasted_s / (averages.long_seconds + lasted_s))
+    for i in range(3):
+        averages.long_force[i] += gain * (shared.force_world[i] - averages.long_force[i])
+    averages.long_seconds += FIRST_SAMPLE_S if is_fresh else lasted_s
+
+
+@compiled
 def is_short_gap(segment: Segment, now: SegmentWork, tuning: Tuning) -> bool:
-    """Return whether a module is silent, but so briefly that its averages are bridged."""
-    return bool(now.validity == NOTHING and 0.0 < segment.gap.seconds <= tuning.longest_bridge_s)
+    """Return whether a module has no rate, but so briefly that its averages are bridged."""
+    return bool(now.validity < RATE and 0.0 < segment.gap.seconds <= tuning.longest_bridge_s)
 
 
 @compiled
@@ -389,19 +504,18 @@ def _lever_arm_matrix_into(W: FloatArray, R: FloatArray, x: float, y: float, z: 
 def _begin_averages(segment: Segment, shared: SharedWork) -> None:
     averages, f_w, W = segment.averages, shared.force_world, shared.lever_arm_matrix
     for i in range(3):
-        averages.force[i], averages.last_force[i], averages.long_force[i] = f_w[i], f_w[i], f_w[i]
+        averages.force[i], averages.last_force[i] = f_w[i], f_w[i]
         for j in range(3):
             averages.lever_arm_matrix[i, j] = W[i, j]
 
 
 @compiled
-def _average_forces(segment: Segment, shared: SharedWork, gain: float, long_gain: float) -> None:
+def _average_forces(segment: Segment, shared: SharedWork, gain: float) -> None:
     averages, f_w = segment.averages, shared.force_world
     for i in range(3):
         # (10) both sides are delayed alike: the mean over the step, as the difference of W is
         averages.force[i] += gain * (0.5 * (f_w[i] + averages.last_force[i]) - averages.force[i])
         averages.last_force[i] = f_w[i]
-        averages.long_force[i] += long_gain * (f_w[i] - averages.long_force[i])
 
 
 @compiled
@@ -435,13 +549,9 @@ def _bridge_averages(
     step of dt (s).
     """
     averages, W, last, lasted_s = segment.averages, shared.lever_arm_matrix, now.rotation, dt + now.bridged_s
-    gain, long_gain = (
-        1.0 - math.exp(-lasted_s / tuning.smoothing_s),
-        1.0 - math.exp(-lasted_s / tuning.unaided_window_s),
-    )
+    gain = 1.0 - math.exp(-lasted_s / tuning.smoothing_s)
     filled = _filled(averages.seconds + lasted_s, tuning)
-    mean_gain = max(long_gain, lasted_s / (averages.seconds + lasted_s))
-    _average_forces(segment, shared, gain / filled, mean_gain)
+    _average_forces(segment, shared, gain / filled)
     rate, bias, turn = segment.gap.rate, segment.bias, shared.rotation
     rotation_matrix.exponential_into(turn, -now.bridge[0], -now.bridge[1], -now.bridge[2])
     rotation_matrix.multiply_into(now.before, segment.R, turn)

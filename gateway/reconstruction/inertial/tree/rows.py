@@ -480,7 +480,7 @@ def note_acceleration(segment: Segment, world: World, tuning: Tuning, dt: float)
     It counts only while the tilt is known: a wrong tilt would look like an acceleration.
     """
     tilt = segment.P[0, 0] + segment.P[1, 1]
-    if segment.averages.seconds < tuning.unaided_window_s or tilt > tuning.aided_tilt**2:
+    if segment.averages.long_seconds < tuning.unaided_window_s or tilt > tuning.aided_tilt**2:
         return
     square = 0.0
     for i in range(3):
@@ -526,7 +526,7 @@ def _mean_square(segment: Segment, tuning: Tuning, dt: float) -> float:
     Over a time shorter than the window, as after a gap, it is as much larger as speeds are the same; after a
     start in motion it is for some time as large as the first sample lets expect.
     """
-    lasted_s = max(segment.averages.seconds, dt)
+    lasted_s = max(segment.averages.long_seconds, dt)
     square = max(tuning.least_acceleration**2, segment.starting_square)
     if lasted_s < tuning.unaided_window_s:
         square = max(square, (tuning.unaided_speed / lasted_s) ** 2)

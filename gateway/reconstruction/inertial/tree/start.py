@@ -88,7 +88,7 @@ def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning:
     _start_covariance(segment, min(tilt, tuning.unknown_heading**2), tuning)
     segment.started = STARTED
     segment.heading = UNOBSERVED if link.heading_observable else OBSERVED
-    segment.silent_s, segment.averages.seconds = 0.0, 0.0
+    segment.silent_s, segment.averages.seconds, segment.averages.long_seconds = 0.0, 0.0, 0.0
     segment.joint_nis = 1.0
     segment.unaided_square = (tuning.unaided_speed / tuning.unaided_window_s) ** 2
     _start_watches(segment)

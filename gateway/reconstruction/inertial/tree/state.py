@@ -51,6 +51,15 @@ class Validity(IntEnum):
     FORCE = 3
 
 
+class Clip(IntEnum):
+    """Whether it is the end of the gyroscope's range that a gap comes from."""
+
+    NONE = 0
+    LASTS = 1
+    LEFT = 2
+    """The last sample was the first one within the range: the next shows the slope of its rate."""
+
+
 class Link(Record):
     """A segment as it is built and worn; constant."""
 
@@ -96,9 +105,11 @@ class Averages(Record):
 
     force: Vector  # of R f, m/s²
     last_force: Vector  # R f of the frame before
-    long_force: Vector  # over the unaided window
     lever_arm_matrix: Matrix  # of R [ω]×, rad/s
-    seconds: float  # since they were begun
+    seconds: float  # since these were begun
+    long_force: Vector  # of R f, over the unaided window
+    long_seconds: float  # since that was begun
+    long_waits_s: float  # since the last specific force of it
 
 
 class LeverArms(Record):
@@ -186,11 +197,15 @@ class Corrections(Record):
 
 
 class Gap(Record):
-    """A silence of a module, while it lasts."""
+    """A time without a rate: the module is silent, or its gyroscope is at the end of its range."""
 
-    seconds: float  # since its last sample, 0: none
-    rate: Vector  # of that sample, bias included, rad/s
+    seconds: float  # since the last rate, 0: none
+    rate: Vector  # that rate, bias included, rad/s
+    slope: Vector  # and its change over the step before, rad/s²; NaN: not known
     turn: Vector  # by what the segment has been turned since, segment axes, rad
+    cause: int  # Clip
+    clipped_axes: Matrix  # rows: axes that came to the end of their range, segment axes, or 0
+    missed: float  # variance of what the gyroscope has not shown since, not in P yet, rad²
 
 
 class Segment(Record):
@@ -295,9 +310,11 @@ class SegmentWork(Record):
     magnetic_field: Vector  # µT, segment axes
     status: int  # Status
     clipped: int  # Clipped
+    clipped_axes: Matrix  # rows: axes of the gyroscope at the end of their range, segment axes, or 0
     sun: Vector  # direction, segment axes; NaN where it is not seen
     sun_sigma: float
     validity: int  # Validity
+    is_felt: int  # 1: the specific force is within its range, whatever the gyroscope is
     stood_s: float  # for how long it has not accelerated, 0: it does
     mean_rate: Vector  # that turns it from the frame before to this one, rad/s
     before: Matrix  # orientation of the frame before

@@ -13,7 +13,7 @@ import numpy as np
 
 from gateway.body.kinematics import joint_positions_into
 from gateway.body.skeleton import LocalDevice, WornSuit
-from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
+from gateway.frames import Clipped, FloatArray, IntArray, Quantity, Status, StatusArray
 from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records, array_of
@@ -66,6 +66,9 @@ INTERPOLATED, MISSING, PREDICTED, UNAIDED = (
     Status.UNAIDED.value,
 )
 FORCE, NOTHING, RATE = Validity.FORCE.value, Validity.NOTHING.value, Validity.RATE.value
+RATE_CLIPPED = Clipped.ANGULAR_RATE.value
+SAME_END = 0.95
+"""Of the largest axis of a clipped gyroscope, from where another is clipped too: skewed axes differ."""
 SHORTEST_STEP_S = 1e-5
 
 
@@ -255,7 +258,7 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
     the specific force at its proximal joint.
     """
     # section 14: which sensors count
-    judge_samples(work, tuning)
+    judge_samples(state, work, tuning)
     note_rolling(state, work, dt)
 
     # section 3: prediction; section 14: start; (57): headings that are lost
@@ -328,6 +331,20 @@ def _observe(work: Work, wearing: Wearing, inputs: Inputs, stood_s: FloatArray, 
             rotation_matrix.rotate_into(now.magnetic_field, R_bs, fields[row])
             now.status = status[row] if is_finite(now.specific_force) else MISSING
             now.clipped = clipped[row]
+            _note_clipped_axes(now, rates[row], R_bs)
+
+
+@compiled
+def _note_clipped_axes(now: SegmentWork, rate: FloatArray, R_bs: FloatArray) -> None:
+    """Set ``clipped_axes`` where the gyroscope is at the end of its range: its largest, and those as large.
+
+    rate: (3,) rad/s, module axes.
+    """
+    least = SAME_END * max(abs(rate[0]), abs(rate[1]), abs(rate[2]))
+    for j in range(3):
+        counts = 1.0 if now.clipped & RATE_CLIPPED > 0 and abs(rate[j]) >= least else 0.0
+        for i in range(3):
+            now.clipped_axes[j, i] = counts * R_bs[i, j]
 
 
 @compiled
@@ -445,6 +462,8 @@ def _own_covariance(P: FloatArray, segment: Segment, world: World) -> None:
     compass, if that is smaller.
     """
     rotation_matrix.copy_into(P, segment.P)
+    for i in range(3):
+        P[i, i] += segment.gap.missed
     compass = segment.compass
     if world.uses_field and P[2, 2] > compass.error_variance:
         share = math.sqrt(compass.error_variance / P[2, 2])
@@ -482,6 +501,8 @@ def publish_covariances(body: Body, state: State, tuning: Tuning, work: Work) ->
                 published[i, j] = share * (P[i, j] + (lasting if i == j else 0.0))
             published[i, 2], published[2, i] = 0.0, 0.0
         published[2, 2] = min(P[2, 2], of_field) if body.world.uses_field else P[2, 2]
+        for i in range(3):
+            published[i, i] += segment.gap.missed
 
 
 @compiled

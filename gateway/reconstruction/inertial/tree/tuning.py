@@ -102,7 +102,13 @@ class Tuning(Record):
     largest_force: float = constant(
         156.0, "m/s²", "beyond it an accelerometer is saturated", "16 g less rounding"
     )
-    saturated_noise: float = constant(5.0, "rad/s/√Hz", "of a gyroscope at its limit", JUDGED)
+    saturated_noise: float = constant(5.0, "rad/s/√Hz", "of a gyroscope long at the end of its range", JUDGED)
+    longest_clip_s: float = constant(
+        0.4, "s", "at the end of a range, over which a rate is taken for a cubic", MOTION
+    )
+    missed_share: float = constant(
+        0.25, "1", "error of what a gyroscope is found to have missed", "cubics in simulated motion"
+    )
 
     # silence and start
     dead_rate: float = constant(2.0, "rad/s", "how a segment turns while its module is silent", MOTION)
