@@ -200,11 +200,11 @@ def by_maker(
         if stamped_in_us is None:
             times = ArrivalCounter((RATE_HZ,), None if counter_bits is None else RATE_HZ, counter_bits)
             lost = (np.diff(module.counter, prepend=module.counter[0] - 1) - 1).tolist()
-            told = [
+            stamped = [
                 times.stamp(at, None if counter_bits is None else count, n if sees_losses else 0)
                 for at, count, n in zip(arrivals, counts, lost, strict=True)
             ]
-            stamps = [0 if each is None else each[1] for each in told]
+            stamps = [0 if each is None else each[1] for each in stamped]
         else:
             # at rates that steps do not divide, instants are after their stamps by anything up to a step
             whole = module.counter * module.interval_us - rng.uniform(0.0, stamped_in_us, len(arrivals))

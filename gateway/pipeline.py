@@ -282,9 +282,9 @@ class Pipeline:
             "modules": self.modules.statistics(),
         }
         for part in self._parts:
-            for section, told in part.statistics().items():
-                if isinstance(told, Mapping) and section in found:
-                    found[section] |= told
+            for section, values in part.statistics().items():
+                if isinstance(values, Mapping) and section in found:
+                    found[section] |= values
                 else:
-                    found[section] = told
+                    found[section] = values
         return found

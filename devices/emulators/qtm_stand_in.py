@@ -132,7 +132,7 @@ class QtmStandIn:
         for writer in list(self._clients):
             writer.transport.abort()
 
-    def tell(self, event: int) -> None:
+    def send_event(self, event: int) -> None:
         """Send an event to everybody."""
         for writer in self._clients:
             writer.write(packet(Kind.EVENT, bytes([event])))
@@ -148,8 +148,8 @@ class QtmStandIn:
             writer.write(packet(Kind.COMMAND, b"QTM RT Interface connected\0"))
             while True:
                 size, _ = _HEADER.unpack(await reader.readexactly(_HEADER.size))
-                asked = await reader.readexactly(size - _HEADER.size)
-                self._answer(writer, asked.rstrip(b"\0").decode().lower().split())
+                request = await reader.readexactly(size - _HEADER.size)
+                self._answer(writer, request.rstrip(b"\0").decode().lower().split())
                 await writer.drain()
         except (asyncio.IncompleteReadError, ConnectionError):
             pass  # the client is gone
@@ -160,7 +160,7 @@ class QtmStandIn:
 
     def _answer(self, writer: asyncio.StreamWriter, words: list[str]) -> None:
         match words:
-            case ["version", version] if self._knows(version):
+            case ["version", version] if self._supports(version):
                 writer.write(packet(Kind.COMMAND, f"Version set to {version}\0".encode()))
             case ["version", _]:
                 writer.write(packet(Kind.ERROR, b"Version NOT supported\0"))
@@ -178,7 +178,7 @@ class QtmStandIn:
             case _:
                 writer.write(packet(Kind.ERROR, b"Parse error\0"))
 
-    def _knows(self, version: str) -> bool:
+    def _supports(self, version: str) -> bool:
         major, _, minor = version.partition(".")
         return major == "1" and minor.isdigit() and int(minor) <= self._newest
 

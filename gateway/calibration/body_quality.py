@@ -38,7 +38,7 @@ def judge_module(
     expected: names of the movements that were done and should have turned this segment.
     """
     name = found.segment.replace("_", " ")
-    findings = [*_heard(found, name), *_still(found, name), *_field(found, name)]
+    findings = [*_presence(found, name), *_still(found, name), *_field(found, name)]
     for step in sorted(expected):
         if step in found.movements:
             findings += _movement(found.movements[step], SPOKEN[step], name)
@@ -48,9 +48,9 @@ def judge_module(
     return judged(*findings)
 
 
-def _heard(found: ModuleFindings, name: str) -> Iterator[Finding]:
-    if found.unheard:
-        steps = ", ".join(SPOKEN[step] for step in found.unheard)
+def _presence(found: ModuleFindings, name: str) -> Iterator[Finding]:
+    if found.unreceived:
+        steps = ", ".join(SPOKEN[step] for step in found.unreceived)
         yield Finding(0.0, f"module {found.module} ({name}) was not heard during {steps}: is it in reach?")
     else:
         yield Finding(1.0 if found.poses else 0.0, f"{name} was in no pose: do the N-pose with all on")

@@ -105,16 +105,16 @@ def analyse_file(
     folder = output or file.with_name(f"{file.stem}_analysis")
     if folder.exists() and not force:
         raise GatewayError(f"{folder} exists: name another folder with --output, or add to it with --force")
-    with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell_read:
-        arrays, suit, recorded_kg = _motion(file, subject, person, tell_read)
+    with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
+        arrays, suit, recorded_kg = _motion(file, subject, person, progress)
     weighed = _inertia(arrays.skeleton, mass or recorded_kg, sex, inertia, file)
     measured = _measured(file, forces, suit)
-    with progress_bar("torques", is_shown=not as_json) as tell:
-        found = analyse(arrays, file.stem, weighed, suit.gravity, cutoff or None, measured, lambda _: tell)
-    with progress_bar("muscles", is_shown=not as_json) as tell:
-        pulled = _muscles(found, muscles, tell)
+    with progress_bar("torques", is_shown=not as_json) as progress:
+        found = analyse(arrays, file.stem, weighed, suit.gravity, cutoff or None, measured, lambda _: progress)
+    with progress_bar("muscles", is_shown=not as_json) as progress:
+        pulled = _muscles(found, muscles, progress)
     written = _write(found, pulled, folder, to, slower if film else None, as_json)
-    _say(found, pulled, folder, written, as_json)
+    _print_summary(found, pulled, folder, written, as_json)
 
 
 def _write(
@@ -132,13 +132,13 @@ def _write(
         folder.mkdir(parents=True, exist_ok=True)
         written = [*write_tables(found, pulled, folder, to.value), *write_loads(found, folder)]
     if slower is not None:
-        with progress_bar("film", is_shown=not as_json) as tell:
-            write_film(found, pulled, moving, slower, tell)
+        with progress_bar("film", is_shown=not as_json) as progress:
+            write_film(found, pulled, moving, slower, progress)
     write_page(found, pulled, page, None if slower is None else moving)
     return [*written, page, *([] if slower is None else [moving])]
 
 
-def _muscles(found: Analysis, muscles: str, tell: Callable[[int, int], None]) -> MuscleResult | None:
+def _muscles(found: Analysis, muscles: str, progress: Callable[[int, int], None]) -> MuscleResult | None:
     """Return those asked for; None where none were, or none were asked for and the body has no legs."""
     from gateway.analysis.muscle_settings import load_costs
     from gateway.analysis.muscles import find_muscles, has_muscles
@@ -146,7 +146,7 @@ def _muscles(found: Analysis, muscles: str, tell: Callable[[int, int], None]) ->
     if muscles == "none" or (muscles == "auto" and not has_muscles(found.skeleton)):
         return None
     if muscles == "auto":
-        return find_muscles(found, progress=tell)
+        return find_muscles(found, progress=progress)
     path = Path(muscles)
 
     def costs(paths: MusclePaths) -> MuscleCosts:
@@ -154,11 +154,11 @@ def _muscles(found: Analysis, muscles: str, tell: Callable[[int, int], None]) ->
         peaks = np.array([wire.peak_force_n for wire in paths.wires])
         return load_costs(path, names, peaks, found.time_s)
 
-    return find_muscles(found, costs, tell)
+    return find_muscles(found, costs, progress)
 
 
 def _motion(
-    file: Path, subject: str | None, person: str | None, tell: Callable[[int, int], None]
+    file: Path, subject: str | None, person: str | None, progress: Callable[[int, int], None]
 ) -> tuple[SkeletonArrays, WornSuit, float | None]:
     """Return the poses, who made them, and the mass that the file tells, kg."""
     from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
@@ -173,7 +173,7 @@ def _motion(
         if person is not None:
             raise GatewayError(f"--person goes with trials of markers (C3D, TRC); {file} is none")
         recording = open_recording(file)
-        return recording.skeleton_arrays(tell), recording.meta.suit, None
+        return recording.skeleton_arrays(progress), recording.meta.suit, None
     if subject is None:
         raise GatewayError(
             f"{file} holds markers: name the person with --subject, a file of `mocap-gateway optical fit`"
@@ -182,11 +182,11 @@ def _motion(
     trial = read_markers(file)
     for note in trial.notes:
         typer.echo(f"note: {note}", err=True)
-    told = next((trial.parameters[key] for key in MASS_PARAMETERS if trial.parameters.get(key, 0) > 0), None)
+    mass_kg = next((trial.parameters[key] for key in MASS_PARAMETERS if trial.parameters.get(key, 0) > 0), None)
     with tempfile.TemporaryDirectory(prefix="mocap-analysis-") as folder:
         target = Path(folder) / "solved.mcap"
-        write_solved_trial(trial, file, suit, subject, target, tell, person)
-        return open_recording(target).skeleton_arrays(), suit, told
+        write_solved_trial(trial, file, suit, subject, target, progress, person)
+        return open_recording(target).skeleton_arrays(), suit, mass_kg
 
 
 def _inertia(
@@ -221,7 +221,7 @@ def _measured(file: Path, forces: str, suit: WornSuit) -> MeasuredForces | None:
     return MeasuredForces(plates, "z" if suit.markers is None else suit.markers.vertical)
 
 
-def _say(
+def _print_summary(
     found: Analysis, pulled: MuscleResult | None, folder: Path, written: list[Path], as_json: bool
 ) -> None:
     left = float(np.sqrt(np.mean(np.sum(found.dynamics.residual_force**2, axis=1))))

@@ -123,8 +123,8 @@ def measure(
     from gateway.settings import load_gateway_settings
 
     rig = KeptRig(load_gateway_settings(config).rig, config)
-    told = _subject(height, mass, None, length)
-    if changes := measured(told.height_m, told.mass_kg, told.lengths):
+    subject = _subject(height, mass, None, length)
+    if changes := measured(subject.height_m, subject.mass_kg, subject.lengths):
         rig.keep_subject(changes)
         rig.name_in_configuration()
         typer.echo(f"kept in {rig.target}", err=True)

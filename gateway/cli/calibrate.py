@@ -84,7 +84,7 @@ def cameras(
     if import_file is not None:
         found = load_cameras(import_file, axis, unit)
         _write_cameras(output, cameras_text(found))
-        _tell_cameras(output, [_camera_row(camera) for camera in found], as_json)
+        _print_cameras(output, [_camera_row(camera) for camera in found], as_json)
         return
     if board is None or not lenses:
         raise GatewayError("pictures (NAME=FOLDER for every camera) and --board are wanted, or --import FILE")
@@ -93,7 +93,7 @@ def cameras(
     written = _draw_boards(board, result, folder)
     text = cameras_text(result.cameras, result.placement.rms.tolist())
     _write_cameras(output, text.replace("up: z", f"up: {axis}", 1))
-    _tell_cameras(output, _camera_rows(result), as_json)
+    _print_cameras(output, _camera_rows(result), as_json)
     if not as_json:
         typer.echo(f"{folder}: {written} pictures with the corners found (green) and expected (red)")
 
@@ -144,8 +144,8 @@ def _looked_for(
             raise GatewayError(f"'{text}': NAME=PICTURES is wanted, such as cam01=pictures/cam01")
         if name in found:
             raise GatewayError(f"camera '{name}' is given twice")
-        with progress_bar(f"{what}: {name}", is_shown=is_shown) as tell:
-            found[name] = board_pictures(board, place, every, tell)
+        with progress_bar(f"{what}: {name}", is_shown=is_shown) as progress:
+            found[name] = board_pictures(board, place, every, progress)
     return found
 
 
@@ -180,7 +180,7 @@ def _write_cameras(output: Path, text: str) -> None:
         output.write_text(text, encoding="utf-8")
 
 
-def _tell_cameras(output: Path, rows: list[dict[str, Any]], as_json: bool) -> None:
+def _print_cameras(output: Path, rows: list[dict[str, Any]], as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps({"file": str(output), "cameras": rows}, indent=2))
         return
@@ -260,7 +260,7 @@ async def _measure_clocks(settings: GatewaySettings, calibration: ClockCalibrati
             while not calibration.is_complete and not all(task.done() for task in tasks):
                 await asyncio.wait(tasks, timeout=0.2, return_when=asyncio.ALL_COMPLETED)
                 progress.update(bar, completed=calibration.elapsed_s)
-                if not calibration.heard and gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9:
+                if not calibration.received and gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9:
                     raise GatewayError(
                         f"no module of the rig was heard for {_UNHEARD_S:.0f} s: are they switched on, "
                         "and is the link right?"

@@ -77,15 +77,15 @@ def export(
     from gateway.recording.solving import smoothed_arrays
 
     files = {name: _target(file, name, output, len(to) > 1, force) for name in to}
-    with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell:
+    with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
         recording = open_recording(file)
-        arrays = smoothed_arrays(recording, tell) if smooth else recording.skeleton_arrays(tell)
+        arrays = smoothed_arrays(recording, progress) if smooth else recording.skeleton_arrays(progress)
 
     takes: dict[Axes, Take] = {}
     written = []
-    with progress_bar("writing", is_shown=not as_json) as tell:
+    with progress_bar("writing", is_shown=not as_json) as progress:
         for done, (name, path) in enumerate(files.items()):
-            tell(done, len(files))
+            progress(done, len(files))
             kind = FORMATS[name]
             wanted = axes or kind.axes
             if wanted not in takes:
@@ -175,8 +175,8 @@ def report(
     refuse_existing(target, force)
     recording = open_recording(file)
 
-    with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell:
-        found = gather(recording, tell)
+    with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
+        found = gather(recording, progress)
     write_report(found, target)
     if as_json:
         typer.echo(json.dumps({"file": str(target), "poses": found.n_poses, "defect": found.summary.defect}))
@@ -254,7 +254,7 @@ def batch(
             f"interrupted: {len(outcomes)} done, {left} left; the same command goes on from there", err=True
         )
         raise typer.Exit(INTERRUPTED)
-    _tell_outcomes(outcomes, len(jobs) - len(due), results, as_json)
+    _print_outcomes(outcomes, len(jobs) - len(due), results, as_json)
 
 
 def _run_due(
@@ -265,21 +265,21 @@ def _run_due(
 
     outcomes: list[Outcome] = []
     bar = progress_bar(f"{len(due)} recordings", is_shown=is_shown)
-    with contextlib.suppress(KeyboardInterrupt), bar as tell:
-        tell(0, len(due))
+    with contextlib.suppress(KeyboardInterrupt), bar as progress:
+        progress(0, len(due))
 
         def done(job: Job, outcome: Outcome) -> None:
             # Into the manifest at once: what is finished stays finished, however the batch ends.
             manifest.add(job, outcome)
             outcomes.append(outcome)
-            tell(len(outcomes), len(due))
+            progress(len(outcomes), len(due))
 
         run_jobs(due, done, workers, dask)
     manifest.close()
     return outcomes
 
 
-def _tell_outcomes(outcomes: list[Outcome], skipped: int, results: Path, as_json: bool) -> None:
+def _print_outcomes(outcomes: list[Outcome], skipped: int, results: Path, as_json: bool) -> None:
     outcomes.sort(key=lambda outcome: outcome.name)
     failed = {outcome.name: outcome.error for outcome in outcomes if outcome.error}
     notes = {outcome.name: outcome.note for outcome in outcomes if outcome.note}

@@ -227,12 +227,12 @@ def read_wearers(path: Path | None) -> dict[str, str]:
     import yaml
 
     try:
-        told = yaml.safe_load(path.read_text(encoding="utf-8"))
+        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
         raise GatewayError(f"{path} is no YAML: {str(error).splitlines()[0]}") from None
-    if not isinstance(told, dict) or not all(isinstance(text, str) for pair in told.items() for text in pair):
+    if not isinstance(loaded, dict) or not all(isinstance(text, str) for pair in loaded.items() for text in pair):
         raise GatewayError(f"{path}: a wearer's name by gateway is wanted, such as gw001: anna")
-    return told
+    return loaded
 
 
 @contextlib.asynccontextmanager
@@ -426,8 +426,8 @@ def add(
     with kept.locked("add"):
         for path in recordings:
             _, rows = kept.add(open_recording(path), path, site, wearer)
-            told = f"{rows} poses" if rows else "no new poses"
-            typer.echo(f"{path}: {told}, wearer {kept.pseudonym(wearer)}")
+            written = f"{rows} poses" if rows else "no new poses"
+            typer.echo(f"{path}: {written}, wearer {kept.pseudonym(wearer)}")
         kept.renew_catalogue()
 
 
@@ -484,11 +484,11 @@ def solve(
     kept = Archive(archive)
     jobs, outcomes = jobs_of(kept, method), list[Solved]()
     with kept.locked("solve"):
-        with progress_bar("solving") as tell:
+        with progress_bar("solving") as progress:
 
             def done(outcome: Solved) -> None:
                 outcomes.append(outcome)
-                tell(len(outcomes), len(jobs))
+                progress(len(outcomes), len(jobs))
 
             run(jobs, done, workers, dask)
         kept.renew_catalogue()

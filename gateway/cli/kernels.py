@@ -48,10 +48,10 @@ def build(
     with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
         task = progress.add_task("compiling kernels, once")
 
-        def tell(done: int, of: int) -> None:
+        def report(done: int, of: int) -> None:
             progress.update(task, completed=done, total=of)
 
-        readiness.make_ready(*names, tell=tell, folder=folder)
+        readiness.make_ready(*names, progress=report, folder=folder)
     seconds = time.monotonic() - begun_s
     typer.echo(f"kernels of {', '.join(names)} compiled for {target_name()} in {seconds:.0f} s")
 
@@ -67,9 +67,9 @@ def status(
     """
     found = {name: readiness.readiness(name) for name in _known(methods)}
     if as_json:
-        told = {name: {"ready": each.ready, "kernels": each.kernels} for name, each in found.items()}
+        states = {name: {"ready": each.ready, "kernels": each.kernels} for name, each in found.items()}
         folder = str(compiled.CACHE_DIRECTORY)
-        typer.echo(json.dumps({"target": target_name(), "folder": folder, "methods": told}))
+        typer.echo(json.dumps({"target": target_name(), "folder": folder, "methods": states}))
     else:
         for name, each in found.items():
             typer.echo(f"{name}: {readiness.in_words(each)}")

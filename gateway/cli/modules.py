@@ -410,9 +410,9 @@ class _Fitting:
         from gateway.modules.motion import AmbiguousMotionError
         from gateway.modules.operations import RequestError
 
-        spoken = segment.replace("_", " ")
+        name = segment.replace("_", " ")
         while True:
-            self._console.print(Text(f"{count} shake or tap the module on the {spoken}", "bold"))
+            self._console.print(Text(f"{count} shake or tap the module on the {name}", "bold"))
             try:
                 found = await self._next_sign()
             except (RequestError, AmbiguousMotionError) as error:

@@ -52,7 +52,7 @@ async def _report(url: str, device: str | None, allow_writes: bool, only: list[s
             findings.append(found)
             if not as_json:
                 detail = f"\n         {found.detail}" if found.detail else ""
-                typer.echo(f"{_MARKS[found.outcome]:8} {found.rule}: {found.says}{detail}")
+                typer.echo(f"{_MARKS[found.outcome]:8} {found.rule}: {found.statement}{detail}")
     except NoModuleError as error:
         raise GatewayError(f"{url}: {error}") from error
     counts = {outcome: sum(each.outcome == outcome for each in findings) for outcome in _MARKS}

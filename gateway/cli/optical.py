@@ -21,7 +21,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.cli.export import export
 from gateway.cli.options import refuse_existing, seconds_of
 from gateway.cli.preparing import make_ready
-from gateway.cli.replay import QUEUE, Brake, speed_of, tell_outcome
+from gateway.cli.replay import QUEUE, Brake, speed_of, print_outcome
 from gateway.cli.replay import play as play_link
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
@@ -117,8 +117,8 @@ def fit(
     known = None if marker_set is None else load_marker_set(marker_set)
     trials = _read_trials(files, not as_json)
     chosen = known or fitting_set(trials, person)
-    with progress_bar("fitting the body", is_shown=not as_json) as tell:
-        found = fit_body(chosen, trials, options, tell)
+    with progress_bar("fitting the body", is_shown=not as_json) as progress:
+        found = fit_body(chosen, trials, options, progress)
     outcome = _fit_outcome(found, files, target)
     _write_fit(found, outcome, target)
     if as_json:
@@ -130,16 +130,16 @@ def fit(
 def _read_trials(files: list[Path], is_shown: bool) -> list[MarkerTrial]:
     from devices.marker_files import read_markers
 
-    with progress_bar("reading", is_shown=is_shown) as tell:
+    with progress_bar("reading", is_shown=is_shown) as progress:
         trials = []
         for done, file in enumerate(files):
-            tell(done, len(files))
+            progress(done, len(files))
             trials.append(read_markers(file))
-    _tell_notes(trials)
+    _print_notes(trials)
     return trials
 
 
-def _tell_notes(trials: Sequence[MarkerTrial]) -> None:
+def _print_notes(trials: Sequence[MarkerTrial]) -> None:
     for trial in trials:
         for note in trial.notes:
             typer.echo(f"note: {note}", err=True)
@@ -360,12 +360,12 @@ def solve(
     target = output or file.with_name(f"{file.stem}{suffix}.mcap")
     refuse_existing(target, force)
     trial = read_markers(file)
-    _tell_notes([trial])
+    _print_notes([trial])
     target.unlink(missing_ok=True)
     if method == "default":
         make_ready(OPTICAL)
-    with progress_bar("solving", is_shown=not as_json) as tell, writing(target):
-        done = write(trial, file, suit, subject, target, tell, person)
+    with progress_bar("solving", is_shown=not as_json) as progress, writing(target):
+        done = write(trial, file, suit, subject, target, progress, person)
     if plot is not None:
         write_residual_plot(done, trial.rate_hz, plot)
     if as_json:
@@ -411,7 +411,7 @@ def play(
     suit = _subject(subject[0])
     pace = speed_of(speed)
     trial = read_markers(file)
-    _tell_notes([trial])
+    _print_notes([trial])
     assert suit.markers is not None  # _subject sees to it
     for each in subject:
         _refuse_open_names(trial, _subject(each), person)
@@ -441,7 +441,7 @@ def play(
     topics = ", ".join(f"{settings.mqtt.base_topic}/{name}/pose" for name in names)
     typer.echo(f"playing to {topics}; Ctrl-C ends", err=True)
     asyncio.run(play_link(service, link, as_json))
-    tell_outcome(service, as_json)
+    print_outcome(service, as_json)
 
 
 def _writer_of(method: str) -> Callable[..., SolvedTrial]:

@@ -102,11 +102,11 @@ def recover(
 
     if in_place and output is not None:
         raise GatewayError("--in-place or --output: not both")
-    with progress_bar("recovering") as tell:
+    with progress_bar("recovering") as progress:
         if in_place:
-            done = recover_in_place(file, tell)
+            done = recover_in_place(file, progress)
         else:
-            done = recover_file(file, output or file.with_name(f"{file.stem}.recovered{file.suffix}"), tell)
+            done = recover_file(file, output or file.with_name(f"{file.stem}.recovered{file.suffix}"), progress)
     typer.echo(f"{done.path}: {done.messages} messages; {done.defect or 'nothing was wrong with it'}")
 
 

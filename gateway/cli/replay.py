@@ -54,10 +54,10 @@ def replay_live(
     link.hold = Brake(service, is_paced=speed is not None).hold
     typer.echo(f"playing to {mqtt.base_topic}/{settings.gateway}/pose; Ctrl-C ends", err=True)
     asyncio.run(play(service, link, as_json))
-    tell_outcome(service, as_json)
+    print_outcome(service, as_json)
 
 
-def tell_outcome(service: Service, as_json: bool) -> None:
+def print_outcome(service: Service, as_json: bool) -> None:
     """Print how many poses were made, published and dropped."""
     counters = service.mqtt.counters
     outcome = {"poses": service.pipeline.skeleton_frames, "published": counters.published}
@@ -92,9 +92,9 @@ class Brake:
 async def play(service: Service, link: ReplayLink | MarkerFileLink, as_json: bool) -> None:
     """Run the service until the link has come to its end, with a progress bar."""
     running = asyncio.ensure_future(until_signal(service))
-    with progress_bar("playing", is_shown=not as_json) as tell, contextlib.suppress(asyncio.CancelledError):
+    with progress_bar("playing", is_shown=not as_json) as progress, contextlib.suppress(asyncio.CancelledError):
         while not running.done():
-            tell(link.position, link.size)
+            progress(link.position, link.size)
             await asyncio.wait({running}, timeout=_REFRESH_S)
         await running
 
@@ -232,8 +232,8 @@ def speed_of(text: str) -> float | None:
 def _verify(recording: Recording, as_json: bool) -> None:
     from gateway.recording.solving import verify
 
-    with progress_bar("verifying", is_shown=not as_json) as tell:
-        found = verify(recording, tell)
+    with progress_bar("verifying", is_shown=not as_json) as progress:
+        found = verify(recording, progress)
     if as_json:
         outcome = {
             "identical": found.is_identical,
@@ -277,15 +277,15 @@ def _solve(recording: Recording, source: Source, target: Path | None, as_json: b
     begun = 0.0
     with progress_bar("solving", is_shown=not as_json) as bar:
 
-        def tell(done: int, total: int) -> None:
+        def report(done: int, total: int) -> None:
             nonlocal begun
             begun = begun or time.perf_counter()  # the preparations are over
             bar(done, total)
 
         if target is not None:
-            frames = write_solved(recording, target, source, tell)
+            frames = write_solved(recording, target, source, report)
         else:
-            for frame in solve(recording, source, tell):
+            for frame in solve(recording, source, report):
                 first_ns, last_ns, frames = first_ns or frame.time_ns, frame.time_ns, frames + 1
     elapsed_s = time.perf_counter() - begun
     outcome = {

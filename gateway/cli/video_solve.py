@@ -132,7 +132,7 @@ def solve(
         done = _written(messages, rate_hz, suit, place, offline=offline, is_shown=not as_json)
         outcomes.append(_outcome(done, checked, len(seen)))
         if not as_json:
-            _tell(outcomes[-1])
+            _print_outcome(outcomes[-1])
         if to:
             export(place, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
     if as_json:
@@ -146,8 +146,8 @@ def _in_step(cameras: Sequence[Camera], captured: Sequence[Instants]) -> list[In
     checked = consistency_of(cameras, captured[0])
     if not checked.offsets:
         return list(captured)
-    told = ", ".join(f"{name} {late}" for name, late in zip(checked.names, checked.skipped, strict=True))
-    typer.echo(f"note: pictures left out so that the cameras are in step: {told}", err=True)
+    listed = ", ".join(f"{name} {late}" for name, late in zip(checked.names, checked.skipped, strict=True))
+    typer.echo(f"note: pictures left out so that the cameras are in step: {listed}", err=True)
     return [in_step(messages, checked.skipped) for messages in captured]
 
 
@@ -228,8 +228,8 @@ def _written(
 
     target.unlink(missing_ok=True)
     write = write_offline_video if offline else write_solved_video
-    with progress_bar("solving", is_shown=is_shown) as tell, writing(target):
-        return write(messages, rate_hz, suit, target.stem, target, tell)
+    with progress_bar("solving", is_shown=is_shown) as progress, writing(target):
+        return write(messages, rate_hz, suit, target.stem, target, progress)
 
 
 def _write_subject(path: Path, suit: WornSuit, *, force: bool) -> None:
@@ -255,7 +255,7 @@ def looked_at(
 
     keypoints = load_keypoint_set(weights_of(tasks[0].network).keypoint_set)
     with (
-        progress_bar("looking at pictures", is_shown=is_shown) as tell,
+        progress_bar("looking at pictures", is_shown=is_shown) as progress,
         CameraRig(cameras, tasks, keypoints, options) as rig,
     ):
         if rig.count is None and frames is None:
@@ -265,11 +265,11 @@ def looked_at(
         for done, instant in enumerate(itertools.islice(rig, total), start=1):
             for messages, each in zip(captured, instant, strict=True):
                 messages.append(each)
-            tell(done, total)
+            progress(done, total)
         doubles = rig.same_as
         if doubles and is_shown:
-            told = ", ".join(f"{double + 1} as {first + 1}" for double, first in sorted(doubles.items()))
-            typer.echo(f"note: one person was found more than once ({told}): counted once", err=True)
+            listed = ", ".join(f"{double + 1} as {first + 1}" for double, first in sorted(doubles.items()))
+            typer.echo(f"note: one person was found more than once ({listed}): counted once", err=True)
         return [each for k, each in enumerate(captured) if k not in doubles], rig.rate_hz
 
 
@@ -284,7 +284,7 @@ def _outcome(done: SolvedVideo, checked: Consistency, n_cameras: int) -> dict[st
     }
 
 
-def _tell(outcome: dict[str, Any]) -> None:
+def _print_outcome(outcome: dict[str, Any]) -> None:
     if outcome["keypoints"]:
         table = Table("keypoint", "tracked %", "mean likelihood a camera")
         for name, each in outcome["keypoints"].items():

@@ -332,13 +332,13 @@ async def _serve_recording(
 ) -> None:
     from gateway.recording import open_recording
 
-    with progress_bar(f"reading {recording.name}") as tell:
+    with progress_bar(f"reading {recording.name}") as progress:
         opened = open_recording(recording)
-        arrays = opened.skeleton_arrays(tell)
+        arrays = opened.skeleton_arrays(progress)
     compared = None
     if compare is not None:
-        with progress_bar(f"reading {compare.name}") as tell:
-            compared = open_recording(compare).skeleton_arrays(tell)
+        with progress_bar(f"reading {compare.name}") as progress:
+            compared = open_recording(compare).skeleton_arrays(progress)
     async with _page(place) as servers:
         from gateway.viewer.marker_points import recorded_markers
         from gateway.viewer.playback import Playback

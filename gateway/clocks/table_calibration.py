@@ -72,7 +72,7 @@ class ClockCalibration:
         return self.elapsed_s >= self.duration_s
 
     @property
-    def heard(self) -> tuple[int, ...]:
+    def received(self) -> tuple[int, ...]:
         return tuple(sorted(self._clocks))
 
     def table(self) -> ClockTable:

@@ -60,8 +60,8 @@ def link_line(announced: Announced, *others: Announced, module: int | str = "NUM
     module: number in the rig.
     """
     if announced.entry is not None:
-        told = [each.entry[1] for each in (announced, *others) if each.entry is not None]
-        listed = ", ".join(f'"{name}": {module}' for name in told)
+        found_modules = [each.entry[1] for each in (announced, *others) if each.entry is not None]
+        listed = ", ".join(f'"{name}": {module}' for name in found_modules)
         head = f'name: {announced.name}, url: "{announced.url}", carries: {announced.carries}'
         return f"- {{{head}, {announced.entry[0]}: {{{listed}}}}}"
     # A device's name is what somebody typed: nothing of it may end the quotes around it.

@@ -241,10 +241,10 @@ class ModuleOperations:
         self._refuse_unless_allowed("restoring settings")
         wanted = {bytes.fromhex(text): settings for text, settings in request.modules.items()}
         present = await self.configurator.present_ids(wanted)
-        heard = {uid: settings for uid, settings in wanted.items() if uid in present}
-        backup = {uid.hex(): settings for uid, settings in heard.items()}
+        present_settings = {uid: settings for uid, settings in wanted.items() if uid in present}
+        backup = {uid.hex(): settings for uid, settings in present_settings.items()}
         restored = await self._recorded(
-            heard, lambda: restore_backup(self.configurator, backup, self._rig_ids)
+            present_settings, lambda: restore_backup(self.configurator, backup, self._rig_ids)
         )
         restored.absent += [uid for uid in wanted if uid not in present]
         return _restored(restored)
@@ -256,12 +256,12 @@ class ModuleOperations:
 
     async def _card_start(self, request: requests.CardStartRequest) -> Plain:
         device = await self._find(request.device)
-        await self._client.ask(device.unique_id, Verb.START)
+        await self._client.request(device.unique_id, Verb.START)
         return _named(device)
 
     async def _card_stop(self, request: requests.CardStopRequest) -> Plain:
         device = await self._find(request.device)
-        await self._client.ask(device.unique_id, Verb.STOP)
+        await self._client.request(device.unique_id, Verb.STOP)
         return _named(device)
 
     async def _card_read(self, request: requests.CardReadRequest) -> Plain:
@@ -352,8 +352,8 @@ class ModuleOperations:
     async def _discover_all(self) -> tuple[Roster, dict[int, MakersModule]]:
         """Return who answers: our own, and those of others by module id."""
         others = {module.module: module for module in await self.makers.discover()}
-        is_heard = len(_absent(self._client.links)) < len(self._client.links) or not self.makers.has_links
-        return await self._discover() if is_heard else Roster(()), others
+        has_answer = len(_absent(self._client.links)) < len(self._client.links) or not self.makers.has_links
+        return await self._discover() if has_answer else Roster(()), others
 
     @property
     def _has_own(self) -> bool:

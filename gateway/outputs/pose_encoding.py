@@ -294,7 +294,7 @@ class PosePublications:
         self._markers_due = None if settings.marker_rate is None else Thinning(settings.marker_rate)
         self.has_segments = True
         """Whether messages of single segments and of markers are made, where they are configured."""
-        protocol, expiry_s = settings.spoken_protocol, settings.pose_expiry_s
+        protocol, expiry_s = settings.protocol_in_use, settings.pose_expiry_s
         self._json = properties_of(protocol, JSON, expiry_s)
         self._msgpack = properties_of(protocol, MSGPACK, expiry_s)
 

@@ -37,7 +37,7 @@ from gateway.frames import SkeletonFrame
 from gateway.geometry import compiled
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.makers import MakersModules
-from gateway.modules.module_log import ModuleLog, Strangers
+from gateway.modules.module_log import ModuleLog, UnknownModules
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import connect_client
 from gateway.outputs.connection import first_to_end
@@ -149,7 +149,7 @@ class Service:
         self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
-        self._strangers = Strangers(stream, suit, _unworn(settings))
+        self._unknown_modules = UnknownModules(stream, suit, _unworn(settings))
         self._makers = MakersModules(self._note_sent)
         operations = ModuleOperations(
             stream, self.commands, suit, Journal(default_journal_path()), self._makers
@@ -157,7 +157,7 @@ class Service:
         sender = HostSender(self._note_sent, senders=stream.senders)
         self._orders = CameraOrders([link for link in self.links if self._has_cameras(link)])
         if settings.people is not None:
-            self.people = PeopleBeforeCameras(settings, suit, _serve_person, self._orders.tell)
+            self.people = PeopleBeforeCameras(settings, suit, _serve_person, self._orders.send)
         self._announced: list[Link] = []  # to the pipeline, and with devices that take commands
         self._askers = list(_askers(settings, self._announced, sender, stream))
 
@@ -221,7 +221,7 @@ class Service:
         """Return counters for the health message."""
         accounting = {balance.name: balance.summary() for balance in self.balances()}
         return {
-            **{section: told for asker in self._askers for section, told in asker.statistics().items()},
+            **{section: values for asker in self._askers for section, values in asker.statistics().items()},
             **self.pipeline.statistics(),
             "accounting": accounting,
             "links": {name: counts.summary() for name, counts in self._link_counts.items()},
@@ -336,12 +336,12 @@ class Service:
 
     def _least_charge(self) -> float | None:
         """Return the least charge of all modules, 0 to 1; None: none has reported it."""
-        told = [
+        percents = [
             record.health.battery_percent
             for record in self.pipeline.modules.records.values()
             if record.health
         ]
-        return min((percent / 100 for percent in told if percent is not None), default=None)
+        return min((percent / 100 for percent in percents if percent is not None), default=None)
 
     def _contents_of(self, link: Link) -> Mapping[str, str]:
         """Return what a link carries, by the names that its chunks have."""
@@ -413,7 +413,7 @@ class Service:
         """Tell the cameras where the pose will have the person of the rig."""
         stage = self.pipeline.stage_at(link)
         if isinstance(stage, CameraStage) and (orders := stage.orders()):
-            self._orders.tell(orders)
+            self._orders.send(orders)
 
     def _fed(self, chunk: Chunk) -> list[SkeletonFrame]:
         return self._guarded(self.pipeline.feed, chunk) or []
@@ -503,12 +503,12 @@ class Service:
             self.pipeline.modules.notice(name, Cause.LINK_DOWN)
         self.recording.event("link", {"link": name, "state": status.state.value, "reason": status.reason})
 
-    def _warn_of_strangers(self, named: set[str]) -> None:
+    def _warn_of_unknown_modules(self, named: set[str]) -> None:
         """Name who else sends to the links of modules, each once. named: those who were, and are now."""
         for link, figures in self.pipeline.stream.sender_statistics().items():
-            strangers = figures["strangers"]
-            assert isinstance(strangers, list)
-            new = [name for name in strangers if f"{link} {name}" not in named]
+            unknown = figures["strangers"]
+            assert isinstance(unknown, list)
+            new = [name for name in unknown if f"{link} {name}" not in named]
             if new and len(named) < _MOST_STRANGERS_NAMED:
                 named.update(f"{link} {name}" for name in new)
                 log.warning(
@@ -521,18 +521,18 @@ class Service:
     async def _report(self) -> None:
         """Log every ``REPORT_INTERVAL_S`` seconds how many poses and packets came and were lost."""
         frames_before = 0
-        strangers: set[str] = set()
+        unknown: set[str] = set()
         while True:
             await asyncio.sleep(REPORT_INTERVAL_S)
-            self._warn_of_strangers(strangers)
+            self._warn_of_unknown_modules(unknown)
             modules = self.pipeline.modules.records.values()
             frames = self.pipeline.skeleton_frames
             log.info(
                 "%.1f poses/s from %d of the rig's %d modules; packets received %d, lost %d; %s; "
                 "poses dropped %d",
                 (frames - frames_before) / REPORT_INTERVAL_S,
-                self._strangers.known,
-                len(self._strangers.names),
+                self._unknown_modules.known,
+                len(self._unknown_modules.names),
                 sum(record.received for record in modules),
                 sum(record.lost for record in modules),
                 "broker connected" if self.mqtt.is_connected else "NO BROKER",
@@ -540,7 +540,7 @@ class Service:
             )
 
             frames_before = frames
-            if (news := self._strangers.news()) is not None:
+            if (news := self._unknown_modules.news()) is not None:
                 log.warning("%s", news)
 
 

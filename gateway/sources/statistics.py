@@ -52,7 +52,7 @@ class SequenceCounter(Row):
     _first: int
     _shift: int
     _goes_on: int
-    _heard_in: int
+    _received_in: int
 
     def __init__(self, *, memory: Memory | None = None) -> None:
         """Begin without packets; ``memory`` is a zeroed ``SEQUENCE`` where compiled code shares the state."""
@@ -96,9 +96,9 @@ class SequenceCounter(Row):
         if full <= self._newest:
             return self._overtaken(full)
         if full > self._newest + 1:
-            self.open_gap(self._newest + 1, full, link.cause_since(self._heard_in))
+            self.open_gap(self._newest + 1, full, link.cause_since(self._received_in))
         self._newest = full
-        self._heard_in = link.chunk
+        self._received_in = link.chunk
         self.received += 1
         return full
 

@@ -121,16 +121,16 @@ class RangeWatch:
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Return clipped samples and the limits found, m/s² and °/s, by module, for the health message."""
-        told: dict[str, dict[str, float]] = {}
+        figures: dict[str, dict[str, float]] = {}
         for module, sensors in self.found().items():
-            values = told.setdefault(str(module), {})
+            values = figures.setdefault(str(module), {})
             for name, each in sensors.items():
                 is_rate = name == "angular_rate"
                 limit = math.degrees(each.limit) if is_rate else each.limit
                 values[f"{name}_samples"] = each.samples
                 if math.isfinite(limit):
                     values["angular_rate_dps" if is_rate else "specific_force_ms2"] = round(limit, 2)
-        return told
+        return figures
 
     def _begin(self, module: int) -> None:
         """Make room for a module that has not been heard before."""
