@@ -60,6 +60,7 @@ class Analysis:
 
     @property
     def time_s(self) -> FloatArray:
+        """(T,) instants since the first frame, s."""
         return self.motion.time_s
 
     @property

@@ -28,7 +28,7 @@ from gateway.clocks import ClockCalibration, ClockTable, LinkBatching, save_cloc
 from gateway.clocks.table import MINUTE_S
 from gateway.errors import GatewayError
 from gateway.settings import GatewaySettings, load_gateway_settings
-from gateway.support.video_extra import require_video_extra
+from gateway.support.extras import require_video_extra
 from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:

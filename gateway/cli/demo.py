@@ -71,6 +71,7 @@ class Truth:
 
     @property
     def n_poses(self) -> int:
+        """How many poses were compared."""
         return len(self._times_s)
 
     def errors_deg(self) -> FloatArray:

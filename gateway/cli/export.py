@@ -76,6 +76,9 @@ def export(
     from gateway.recording.exporters.take import take_of
     from gateway.recording.solving import smoothed_arrays
 
+    # Before anything is read or written: what cannot be written would be noticed after the others are.
+    for name in to:
+        FORMATS[name].check(*_form(name, axes, unit))
     files = {name: _target(file, name, output, len(to) > 1, force) for name in to}
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
         recording = open_recording(file)
@@ -86,13 +89,11 @@ def export(
     with progress_bar("writing", is_shown=not as_json) as progress:
         for done, (name, path) in enumerate(files.items()):
             progress(done, len(files))
-            kind = FORMATS[name]
-            wanted = axes or kind.axes
+            wanted, per_m = _form(name, axes, unit)
             if wanted not in takes:
                 # Resampling takes longer than writing: formats with the same axes share one take.
                 takes[wanted] = replace(take_of(arrays, file.stem, wanted, recording), mass_kg=mass)
-            per_m = kind.units_per_m if unit is None else units_per_m(unit)
-            kind.write(takes[wanted], path, per_m)
+            FORMATS[name].write(takes[wanted], path, per_m)
             written.append(_summary_of(name, path, takes[wanted], per_m))
 
     if mass is None and any(name == "osim" for name in to):
@@ -101,6 +102,12 @@ def export(
         typer.echo(json.dumps(written, indent=2))
         return
     _print_written(written)
+
+
+def _form(name: str, axes: Axes | None, unit: Unit | None) -> tuple[Axes, float]:
+    """Return the axes and the units per metre of a format: those asked for, else its own."""
+    kind = FORMATS[name]
+    return axes or kind.axes, kind.units_per_m if unit is None else units_per_m(unit)
 
 
 def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: bool) -> Path:
@@ -233,6 +240,9 @@ def batch(
         check_method(reconstructor)
     if REPORT in to:
         require_matplotlib()
+    for kind in to:
+        if kind in FORMATS:
+            FORMATS[kind].check(*_form(kind, axes, unit))
     task = Task(
         to=tuple(dict.fromkeys(str(kind) for kind in to)),
         axes=None if axes is None else axes.value,

@@ -27,7 +27,7 @@ from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
-from gateway.recording.exporters.formats import FORMATS
+from gateway.recording.exporters.formats import FORMATS, check_formats
 from gateway.settings import BodySettings, load_gateway_settings
 from gateway.support.whole_files import writing
 
@@ -353,9 +353,7 @@ def solve(
 
     write = _writer_of(method)
     suit = _subject(subject)
-    for name in to or []:
-        if name not in FORMATS:
-            raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
+    check_formats(to or [])
     suffix = "" if method == "default" else f"_{method}"
     target = output or file.with_name(f"{file.stem}{suffix}.mcap")
     refuse_existing(target, force)

@@ -24,7 +24,7 @@ from gateway.contract.topics import CAMERA
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.person_detector import MOST_PEOPLE
 from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
-from gateway.support.video_extra import require_video_extra
+from gateway.support.extras import require_video_extra
 
 if TYPE_CHECKING:
     from gateway.cameras.serving import Sink

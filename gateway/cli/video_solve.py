@@ -35,8 +35,8 @@ from gateway.cli.video import (
 )
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.weights import weights_of
-from gateway.recording.exporters.formats import FORMATS
-from gateway.support.video_extra import require_video_extra
+from gateway.recording.exporters.formats import FORMATS, check_formats
+from gateway.support.extras import require_video_extra
 from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:
@@ -208,9 +208,7 @@ def _named(path: Path, n: int) -> list[Path]:
 
 def _target(files: Sequence[str], output: Path | None, to: Sequence[str]) -> Path:
     """Return where the recording goes. Raises ``GatewayError`` when a format is unknown."""
-    for name in to:
-        if name not in FORMATS:
-            raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
+    check_formats(to)
     return output or Path(files[0].rpartition("=")[2]).with_suffix(".mcap")
 
 

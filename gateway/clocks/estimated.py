@@ -107,6 +107,7 @@ class EstimatedClock(Row):
 
     @property
     def restarts(self) -> int:
+        """How often the module's counter began anew."""
         return self._counter.restarts
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:

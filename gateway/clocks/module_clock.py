@@ -88,6 +88,7 @@ class SharedClock(Row):
 
     @property
     def restarts(self) -> int:
+        """How often the modules' counter began anew."""
         return self._counter.restarts
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:

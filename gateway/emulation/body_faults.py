@@ -52,6 +52,7 @@ class Case:
 
     @property
     def ends_s(self) -> float:
+        """When the fault ends, s."""
         return self.begins_s + self.lasts_s
 
     @property

@@ -65,16 +65,23 @@ from gateway.reconstruction.whole_body_frames import (
 class OrientationFinder(Protocol):
     """What this wraps: any reconstructor."""
 
-    def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame: ...
+    def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
+        """Return orientations at the instant of a frame. stood_s: (S,) s that each segment has been at
+        rest."""
+        ...
 
-    def reset(self) -> None: ...
+    def reset(self) -> None:
+        """Forget everything but the parameters."""
+        ...
 
 
 @runtime_checkable
 class HasCertainty(Protocol):
     """A finder that knows how sure it is of tilts and headings apart."""
 
-    def certainty(self) -> dict[str, dict[str, float | str | None]]: ...
+    def certainty(self) -> dict[str, dict[str, float | str | None]]:
+        """Return, by segment, standard deviations in rad, and what shows the heading."""
+        ...
 
 
 class Prepared(NamedTuple):

@@ -54,6 +54,7 @@ class Verification:
 
     @property
     def is_identical(self) -> bool:
+        """Whether every recorded pose was made again, bit for bit."""
         return self.difference is None and self.compared > 0
 
 

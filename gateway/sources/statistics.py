@@ -204,10 +204,12 @@ class ModuleRecord(Row):
 
     @property
     def received(self) -> int:
+        """Packets that came, of all kinds."""
         return sum(counter.received for counter in self.sequences.values())
 
     @property
     def lost(self) -> int:
+        """Packets that did not come, of all kinds."""
         return sum(counter.lost for counter in self.sequences.values())
 
     @property
@@ -220,6 +222,7 @@ class ModuleRecord(Row):
 
     @property
     def duplicates(self) -> int:
+        """Packets that came more than once, of all kinds."""
         return sum(counter.duplicates for counter in self.sequences.values())
 
     @property
