@@ -15,6 +15,7 @@ import typer
 from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ
 from gateway.body.inertia import BodyInertia, body_inertia
 from gateway.body.skeleton import Skeleton, WornSuit
+from gateway.cli.options import AsJson
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.support.whole_files import writing
@@ -80,31 +81,21 @@ def analyse_file(
         Path | None, typer.Option("--output", "-o", help="Folder; else NAME_analysis beside the file.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Write into a folder that is there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Analyse a motion: joint torques, floor forces, muscles, as tables, one HTML page and a film.
 
     Floor forces are those of the trial's force plates, or estimated where there are none. Needs the extras
     `biomech` and `plot`.
     """
-    from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
     from gateway.analysis.analysing import analyse
     from gateway.analysis.body_model import require_biomech
     from gateway.report.elements import require_matplotlib
 
     require_biomech()
     require_matplotlib()
-    if file.is_dir():
-        raise GatewayError(f"{file} is a folder: name a recording, or a trial of markers, in it")
-    if not file.exists():
-        raise GatewayError(f"{file} cannot be read: no such file")
-    if mass is not None and inertia is not None:
-        raise GatewayError("--mass and --inertia both tell what the body weighs: leave one of them out")
-    if mass is None and inertia is None and subject is None and file.suffix.lower() not in MARKER_SUFFIXES:
-        raise GatewayError(_NO_MASS.format(file=file))
-    folder = output or file.with_name(f"{file.stem}_analysis")
-    if folder.exists() and not force:
-        raise GatewayError(f"{folder} exists: name another folder with --output, or add to it with --force")
+    _refuse_unfit(file, mass, inertia, is_trial=subject is not None)
+    folder = _folder(file, output, force=force)
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
         arrays, suit, recorded_kg = _motion(file, subject, person, progress)
     weighed = _inertia(arrays.skeleton, mass or recorded_kg, sex, inertia, file)
@@ -115,6 +106,28 @@ def analyse_file(
         pulled = _muscles(found, muscles, progress)
     written = _write(found, pulled, folder, to, slower if film else None, as_json)
     _print_summary(found, pulled, folder, written, as_json)
+
+
+def _refuse_unfit(file: Path, mass: float | None, inertia: Path | None, *, is_trial: bool) -> None:
+    """Raise ``GatewayError`` for a file that cannot be read, and without what the body weighs."""
+    from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
+
+    if file.is_dir():
+        raise GatewayError(f"{file} is a folder: name a recording, or a trial of markers, in it")
+    if not file.exists():
+        raise GatewayError(f"{file} cannot be read: no such file")
+    if mass is not None and inertia is not None:
+        raise GatewayError("--mass and --inertia both tell what the body weighs: leave one of them out")
+    if mass is None and inertia is None and not is_trial and file.suffix.lower() not in MARKER_SUFFIXES:
+        raise GatewayError(_NO_MASS.format(file=file))
+
+
+def _folder(file: Path, output: Path | None, *, force: bool) -> Path:
+    """Return where the results go. Raises ``GatewayError`` where something is already."""
+    folder = output or file.with_name(f"{file.stem}_analysis")
+    if folder.exists() and not force:
+        raise GatewayError(f"{folder} exists: name another folder with --output, or add to it with --force")
+    return folder
 
 
 def _write(

@@ -22,7 +22,7 @@ from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, axis_of, cameras_text, load_cameras
 from gateway.cli.calibrate_body import body, put_back, versions
 from gateway.cli.calibrate_sensors import sensors
-from gateway.cli.options import refuse_existing
+from gateway.cli.options import AsJson, ReplaceFiles, refuse_existing
 from gateway.cli.terminal import progress_bar
 from gateway.clocks import ClockCalibration, ClockTable, LinkBatching, save_clock_table, warm_up
 from gateway.clocks.table import MINUTE_S
@@ -75,8 +75,8 @@ def cameras(
     pictures: Annotated[
         Path | None, typer.Option(help="Folder for pictures of the board as found; default: beside the file.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    force: ReplaceFiles = False,
+    as_json: AsJson = False,
 ) -> None:
     """Calibrate cameras with a checkerboard or ChArUco board, or take over another program's calibration."""
     _check_cameras(output, force=force)

@@ -16,7 +16,7 @@ from rich.live import Live as LiveTable
 from rich.table import Table
 from rich.text import Text
 
-from gateway.cli.options import BrokerChoice, seconds_of, with_broker
+from gateway.cli.options import AsJson, BrokerChoice, seconds_of, with_broker
 from gateway.cli.terminal import progress_bar, wide_console
 from gateway.contract.topics import Topics
 from gateway.errors import GatewayError
@@ -97,7 +97,7 @@ def compare(
     plot: Annotated[
         Path | None, typer.Option(help="Write a picture (.png, .svg, .pdf) or a page with table (.html).")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
     live: Annotated[
         bool, typer.Option("--live", help="Compare two running gateways, and publish the figures.")
     ] = False,

@@ -15,11 +15,12 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from gateway.batch.kinds import KINDS, REPORT
-from gateway.cli.options import refuse_existing
+from gateway.cli.options import AsJson, refuse_existing
+from gateway.cli.solving_options import SolvedOtherwise, with_solving
 from gateway.cli.terminal import progress_bar
 from gateway.recording.exporters.axes import Axes
 from gateway.recording.exporters.formats import FORMATS
-from gateway.settings import MAX_DELAY_MS, check_method
+from gateway.settings import check_method
 
 if TYPE_CHECKING:
     from gateway.batch.job import Job, Outcome
@@ -64,7 +65,7 @@ def export(
         float | None, typer.Option(min=2, max=400, help="Of the person, kg, for osim; else 75.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace files that are there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write a recording as BVH, C3D, glTF, TRC, CSV, Parquet, for OpenSim, ROS 2 or Foxglove.
 
@@ -167,7 +168,7 @@ def report(
         Path | None, typer.Option("--output", "-o", help="The page; else NAME.html beside the recording.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace a file that is there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write one HTML page: loss and clocks by module, status, orientations, joint angles, events, settings.
 
@@ -199,21 +200,15 @@ SOME_FAILED, INTERRUPTED = 3, 130
 """Exit codes."""
 
 
+@with_solving
 def batch(
+    wanted: SolvedOtherwise,
     folder: Annotated[Path, typer.Argument(help="Folder with recordings, also in folders below it.")],
     to: Annotated[list[Kind], typer.Option("--to", help="What to make of each; several may be asked for.")],
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Where it goes; else FOLDER_batch beside the folder."),
     ] = None,
-    with_rig: Annotated[
-        str | None, typer.Option("--with", metavar="RIG", help="Solve anew with this rig (file or name).")
-    ] = None,
-    reconstructor: Annotated[str | None, typer.Option(help="Solve anew by this method.")] = None,
-    delay_ms: Annotated[
-        float | None, typer.Option(min=0, max=MAX_DELAY_MS, help="For gyro_free: with poses so much later.")
-    ] = None,
-    smooth: Annotated[bool | None, typer.Option(help="Solve anew, forward and backward.")] = None,
     axes: Annotated[Axes | None, typer.Option(help="World axes of exports; else each format's own.")] = None,
     unit: Annotated[Unit | None, typer.Option(help="Length unit of exports; else each format's own.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; else one for every core.")] = None,
@@ -221,7 +216,7 @@ def batch(
         str | None, typer.Option(metavar="ADDRESS", help="Work on this Dask cluster, tcp://host:8786.")
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Also what is done already.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Export, report or re-solve every recording of a folder, on all cores or on a Dask cluster.
 
@@ -236,8 +231,8 @@ def batch(
     from gateway.recording.snapshot import encode_suit
     from gateway.report.elements import require_matplotlib
 
-    if reconstructor is not None:
-        check_method(reconstructor)
+    if wanted.reconstructor is not None:
+        check_method(wanted.reconstructor)
     if REPORT in to:
         require_matplotlib()
     for kind in to:
@@ -247,10 +242,10 @@ def batch(
         to=tuple(dict.fromkeys(str(kind) for kind in to)),
         axes=None if axes is None else axes.value,
         units_per_m=None if unit is None else units_per_m(unit),
-        suit=None if with_rig is None else encode_suit(load_rig(with_rig)),
-        reconstructor=reconstructor,
-        delay_ms=delay_ms,
-        smooth=smooth,
+        suit=None if wanted.with_rig is None else encode_suit(load_rig(wanted.with_rig)),
+        reconstructor=wanted.reconstructor,
+        delay_ms=wanted.delay_ms,
+        smooth=wanted.smooth,
     )
 
     results = output or folder.resolve().with_name(f"{folder.resolve().name}_batch")

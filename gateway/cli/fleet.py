@@ -17,7 +17,7 @@ import typer
 from rich.live import Live
 from rich.table import Table
 
-from gateway.cli.options import BrokerChoice, with_broker
+from gateway.cli.options import AsJson, BrokerChoice, with_broker
 from gateway.cli.terminal import wide_console
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
@@ -64,7 +64,7 @@ def list_gateways(
     seconds: Annotated[
         float, typer.Option(min=1, max=600, help="How long rates and losses are measured.")
     ] = 5,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show every gateway once: wearer, state, rate, loss, delay, disk, versions. Ends with 1 on an alert."""
     rows = asyncio.run(_measured(_at_cluster(broker, failover), read_wearers(wearers), seconds))

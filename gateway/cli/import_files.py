@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gateway.body.skeleton import WornSuit
-from gateway.cli.options import seconds_of, with_options
+from gateway.cli.options import AsJson, seconds_of, with_options
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.imports.formats import FORMATS
@@ -67,7 +67,7 @@ class Import:
     partial: Annotated[bool, typer.Option("--partial", help="Take what comes before the first damage.")] = (
         False
     )
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False
+    as_json: AsJson = False
 
 
 @with_options(Import)

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from gateway.cli.options import AsJson
 from gateway.errors import GatewayError, nearest
 from gateway.geometry import compiled
 from gateway.service import readiness
@@ -59,7 +60,7 @@ def build(
 @kernels_app.command(epilog="Example: mocap-gateway kernels status joint")
 def status(
     methods: Methods = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show for each method how many of its kernels are ready, what they are compiled for, and where they lie.
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from gateway.cli.options import AsJson
 from gateway.errors import GatewayError, nearest
 
 _MARKS = {"kept": "ok", "broken": "BROKEN", "skipped": "skipped"}
@@ -25,7 +26,7 @@ def conformance(
     rule: Annotated[
         list[str] | None, typer.Option(help="Only this rule (may be given again); default: all of them.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Test a module's firmware against the rules of the wire protocol. Ends with 1 when it breaks one."""
     from devices.conformance import RULES

@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from devices.recording_file import RecordingError
+from gateway.cli.options import AsJson
 from gateway.cli.terminal import progress_bar, wide_console
 from gateway.errors import GatewayError
 from gateway.support.whole_files import writing
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from gateway.recording.summary import RecordingSummary
 
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for a script.")]
+AsJson = AsJson
 
 
 def recordings(

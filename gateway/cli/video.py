@@ -18,7 +18,7 @@ from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, axis_of, load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.cameras.camera_process import CameraTask
-from gateway.cli.options import CaFile, PasswordFile, Protocol, Username, broker_settings, refuse_existing
+from gateway.cli.options import CaFile, PasswordFile, Protocol, ReplaceFiles, Username, broker_settings, refuse_existing
 from gateway.cli.terminal import progress_bar
 from gateway.contract.topics import CAMERA
 from gateway.errors import GatewayError
@@ -190,7 +190,7 @@ def overlay(
     heat_maps: Annotated[bool, typer.Option(help="Draw the heat maps too.")] = True,
     offset: Offset = None,
     rate: Rate = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
+    force: ReplaceFiles = False,
 ) -> None:
     """Draw skeleton and heat maps on the pictures of all cameras, side by side: a film or pictures."""
     from gateway.cameras.film import drawn_instants, write_film
