@@ -11,7 +11,7 @@ import statistics
 import tempfile
 import threading
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -205,9 +205,6 @@ def _failures(report: Report, rate_hz: float) -> None:
     with tempfile.TemporaryDirectory() as folder, DemoFleet(Path(folder), wanted) as fleet:
         worst, received, unreceived, right = asyncio.run(_broken(fleet, rows))
         died = asyncio.run(_kill_a_worker(fleet))
-    live, _ = received.missing()
-    overtaken = sum(seen.repeated for seen in received.fleet.gateways.values())
-    both = sum(len(numbers & received.late.get(name, set())) for name, numbers in received.live.items())
     heads = [
         "what happened",
         "longest gap of a gateway, s",
@@ -221,8 +218,17 @@ def _failures(report: Report, rate_hz: float) -> None:
         "readers reach it still), slow. A reader whose own node dies misses what was on its way to it: it "
         "comes by QoS 0, and its gateways know nothing of it.\n\n" + table(heads, rows)
     )
-    total = sum(len(numbers) for numbers in received.live.values())
     report.figures += [
+        *_gap_figures(worst),
+        *_pose_figures(received, unreceived),
+        Figure("fleet_retained_wrong", float(right), "topics", "<=0", "state and body, each node asked"),
+        Figure("fleet_wills_missing", float(died), "topics", "<=0", "gateways killed, not offline on a node"),
+    ]
+
+
+def _gap_figures(worst: Mapping[str, float]) -> list[Figure]:
+    """Return the longest gap of any gateway after each failure."""
+    return [
         Figure("fleet_recover_kill", worst["killed"], "s", "<=2", "longest gap of any gateway, node killed"),
         Figure(
             "fleet_recover_reader", worst["the reader's own killed"], "s", "<=2", "the reader's node killed"
@@ -239,6 +245,16 @@ def _failures(report: Report, rate_hz: float) -> None:
             "",
             "the reader's node cut off: it must subscribe at another one, while the cluster chooses a leader",
         ),
+    ]
+
+
+def _pose_figures(received: ReceivedPoses, unreceived: int) -> list[Figure]:
+    """Return what became of the poses, over all failures. unreceived: neither live nor late."""
+    live, _ = received.missing()
+    total = sum(len(numbers) for numbers in received.live.values())
+    overtaken = sum(seen.repeated for seen in received.fleet.gateways.values())
+    both = sum(len(numbers & received.late.get(name, set())) for name, numbers in received.live.items())
+    return [
         Figure("fleet_missing_live", float(live), "poses", "", f"of {total}, all failures together"),
         Figure(
             "fleet_missing_for_ever",
@@ -261,8 +277,6 @@ def _failures(report: Report, rate_hz: float) -> None:
         Figure(
             "fleet_live_and_late", float(both), "poses", "", "late ones whose number came live: told by seq"
         ),
-        Figure("fleet_retained_wrong", float(right), "topics", "<=0", "state and body, each node asked"),
-        Figure("fleet_wills_missing", float(died), "topics", "<=0", "gateways killed, not offline on a node"),
     ]
 
 
