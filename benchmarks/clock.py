@@ -251,28 +251,25 @@ def by_table(slot_us: float) -> tuple[Errors, float]:
     measured = traffic(crystals, slot_us, TABLE_RATE_HZ)
     batching = find_slot(measured)
     calibration = ClockCalibration(tuple(range(MODULES)), minutes=58)
-    packets = np.concatenate([m.arrived_ns for m in measured])
-    ids = np.repeat(np.arange(MODULES), [len(m.arrived_ns) for m in measured])
-    stamps = np.concatenate([m.stamps_us for m in measured])
-    order = np.argsort(packets, kind="stable")
-    for module, stamp, at in zip(
-        ids[order].tolist(), stamps[order].tolist(), packets[order].tolist(), strict=True
-    ):
+    for module, stamp, at in _by_arrival(measured):
         calibration.observe(module, stamp, at, batching)
     clocks = TableClocks(calibration.table())
     used = traffic(crystals, slot_us, TABLE_RATE_HZ, seed=SEED + 1)
     begin = [clocks.clock(module, batching) for module in range(MODULES)]
     published: list[list[int]] = [[] for _ in used]
-    streams = np.concatenate([m.arrived_ns for m in used])
-    ids = np.repeat(np.arange(MODULES), [len(m.arrived_ns) for m in used])
-    stamps = np.concatenate([m.stamps_us for m in used])
-    order = np.argsort(streams, kind="stable")
-    for module, stamp, at in zip(
-        ids[order].tolist(), stamps[order].tolist(), streams[order].tolist(), strict=True
-    ):
+    for module, stamp, at in _by_arrival(used):
         published[module].append(begin[module].gateway_time(stamp, at))
     errors = [errors_of(module, instants) for module, instants in zip(used, published, strict=True)]
     return Errors(np.array(errors)), float(len(clocks.table.alpha[clocks.table.reference]))
+
+
+def _by_arrival(modules: Sequence[ModuleTraffic]) -> Iterator[tuple[int, int, int]]:
+    """Yield number, stamp in µs and arrival in ns of all packets, in the order of their arrival."""
+    arrivals = np.concatenate([module.arrived_ns for module in modules])
+    numbers = np.repeat(np.arange(len(modules)), [len(module.arrived_ns) for module in modules])
+    stamps = np.concatenate([module.stamps_us for module in modules])
+    order = np.argsort(arrivals, kind="stable")
+    yield from zip(numbers[order].tolist(), stamps[order].tolist(), arrivals[order].tolist(), strict=True)
 
 
 def by_trigger() -> tuple[Errors, TriggerTimer, TriggerAnswers]:

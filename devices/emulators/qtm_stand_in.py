@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import struct
 from collections.abc import Callable, Collection
 from enum import IntEnum
@@ -17,6 +18,7 @@ import numpy as np
 
 from devices.marker_files import MarkerTrial
 
+_log = logging.getLogger(__name__)
 _HEADER = struct.Struct("<II")  # size of the whole packet, its type
 _DATA = struct.Struct("<qII")  # instant µs, number of the frame, number of components
 _COMPONENT = struct.Struct("<IIIHH")  # size, type, markers, ‰ dropped, ‰ out of step
@@ -152,7 +154,7 @@ class QtmStandIn:
                 self._answer(writer, request.rstrip(b"\0").decode().lower().split())
                 await writer.drain()
         except (asyncio.IncompleteReadError, ConnectionError):
-            pass  # the client is gone
+            _log.debug("a client has hung up")
         finally:
             self._clients.discard(writer)
             self._end_stream(writer)
@@ -183,7 +185,7 @@ class QtmStandIn:
         return major == "1" and minor.isdigit() and int(minor) <= self._newest
 
     async def _play(self, writer: asyncio.StreamWriter, trial: MarkerTrial) -> None:
-        with contextlib.suppress(ConnectionError):
+        with contextlib.suppress(ConnectionError):  # who has hung up is served no more: see _serve
             await self._play_once(writer, trial)
             while self._repeats:
                 await self._play_once(writer, trial)

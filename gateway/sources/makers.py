@@ -184,11 +184,16 @@ class MakersDevice:
         if self.sender not in (None, chunk.sender):
             self._strange[ANOTHER_SENDER] += 1
             return ()
-        before = self.decoder.dropped.total()
-        messages = self.decoder.feed(chunk.data)
-        self.is_damaged = self.decoder.dropped.total() != before
+        messages = self._decoded(self.decoder, chunk)
         if messages:
             self.sender = chunk.sender
+        return messages
+
+    def _decoded(self, decoder: Any, chunk: Chunk) -> Sequence[Any]:
+        """Return the messages of a chunk; note whether any of it was damaged."""
+        before = decoder.dropped.total()
+        messages: Sequence[Any] = decoder.feed(chunk.data)
+        self.is_damaged = decoder.dropped.total() != before
         return messages
 
 

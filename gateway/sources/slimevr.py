@@ -174,9 +174,7 @@ class SlimevrDevice(MakersDevice):
         tracker = self.trackers.get(chunk.sender) or self._met(chunk)
         if tracker is None:
             return ()
-        before = tracker.decoder.dropped.total()
-        messages = tracker.decoder.feed(chunk.data)
-        self.is_damaged = tracker.decoder.dropped.total() != before
+        messages = self._decoded(tracker.decoder, chunk)
         if messages:
             tracker.received_ns = chunk.arrived_ns
         return messages

@@ -58,15 +58,16 @@ class Panel:
         self._warnings = gui.add_html("")
         self._status = gui.add_html("")
         self._recording = gui.add_html("")
-        for row in rows:
-            self._add_row(gui, row, _on_any_page(row.pressed))
-        self._answer = gui.add_html("")
-        looks = ButtonRow("camera", VIEWS, lambda _view: None)
-        self._add_row(gui, looks, lambda view, client: self._look(view, client, stage))
-
         self.tabs = tabs = gui.add_tab_group()
         self._tabs = {name: tabs.add_tab(translated(ENGLISH, name)) for name in ("view", "plot", "modules")}
         with self._tabs["view"]:
+            # On the tab that is shown first, not above all tabs: on a phone they would push the content of
+            # the others below the edge of the page.
+            for row in rows:
+                self._add_row(gui, row, _on_any_page(row.pressed))
+            self._answer = gui.add_html("")
+            looks = ButtonRow("camera", VIEWS, lambda _view: None)
+            self._add_row(gui, looks, lambda view, client: self._look(view, client, stage))
             language = gui.add_dropdown("Language / Sprache", tuple(LANGUAGES))
             language.on_update(lambda _: self.set_language(LANGUAGES[language.value]))
             self.bones = self._add_choice(gui, "bones", False)
