@@ -41,7 +41,9 @@ def moment_rows(trial: AnalysedTrial) -> list[MomentRow]:
         frames = _given_frames(trial, side)
         for (joint, movement), (label, column) in MOMENTS.items():
             moments = trial.trial.columns((f"{side[0].upper()}{label}Moment",))[frames, 0, column]
-            recorded = -moments / trial.trial.metres_per_unit * 1e-3 * trial.files.body_kg  # N mm/kg, outer load
+            recorded = (
+                -moments / trial.trial.metres_per_unit * 1e-3 * trial.files.body_kg
+            )  # N mm/kg, outer load
             known = np.isfinite(recorded)
             ours = torque(trial.measured, f"{side}_{joint}", movement)[frames][known]
             distal = _about_distal(trial.measured, f"{side}_{_SEGMENTS[joint]}", column)[frames][known]

@@ -265,7 +265,11 @@ def _pose_figures(received: ReceivedPoses, unreceived: int) -> list[Figure]:
         ),
         Figure("fleet_counted_twice", float(received.repeated), "poses", "<=0", "live poses of one number"),
         Figure(
-            "fleet_reader_overflowed", float(received.overflowed), "messages", "<=0", "too fast for the reader"
+            "fleet_reader_overflowed",
+            float(received.overflowed),
+            "messages",
+            "<=0",
+            "too fast for the reader",
         ),
         Figure(
             "fleet_overtaken",
@@ -280,7 +284,9 @@ def _pose_figures(received: ReceivedPoses, unreceived: int) -> list[Figure]:
     ]
 
 
-async def _broken(fleet: DemoFleet, rows: list[list[str]]) -> tuple[dict[str, float], ReceivedPoses, int, int]:
+async def _broken(
+    fleet: DemoFleet, rows: list[list[str]]
+) -> tuple[dict[str, float], ReceivedPoses, int, int]:
     received, worst = ReceivedPoses(Fleet()), dict[str, float]()
     first, readers, last = fleet.cluster.nodes
 

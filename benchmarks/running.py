@@ -253,7 +253,7 @@ async def _flooded(report: Report) -> None:
     figures = [
         ("running_flood_sent_hz", sent / FLOODED_S, "1/s", "datagrams of 40 bytes, no wire frames"),
         ("running_flood_poses_hz", len(flooded) / FLOODED_S, "1/s", before),
-        ("running_flood_age_ms", ages_ms[len(ages_ms) // 2], "ms", "age of a pose when it was observed, median"),
+        ("running_flood_age_ms", ages_ms[len(ages_ms) // 2], "ms", "age of a pose when it came, median"),
         ("running_flood_age_p99_ms", ages_ms[int(0.99 * len(ages_ms))], "ms", "the same, 99 of 100"),
         ("running_flood_stage", max((each["stage"] for each in load), default=0), "-", "highest load stage"),
         ("running_flood_lag_ms", max((each["lag_ms"] for each in load), default=0), "ms", "greatest told"),

@@ -68,7 +68,9 @@ def _chunks(maker: str) -> list[Chunk]:
     emulators = VENDOR_EMULATORS[maker](_numbers(suit), 49.0)
     first = next(iter(emulators.values()))
     settings = SuitSettings(
-        emulator=emulators.__getitem__, encoding=Encoding(first.framing), mode=FUSED if first.is_fused else RAW
+        emulator=emulators.__getitem__,
+        encoding=Encoding(first.framing),
+        mode=FUSED if first.is_fused else RAW,
     )
     traffic = SuitTraffic(generic_motion(dress(suit), 1), settings)
     chunks: list[Chunk] = []

@@ -274,11 +274,19 @@ class Maker(NamedTuple):
 MAKERS_SHARE = (
     *("devices/vendor_protocols/plausibility.py", "devices/vendor_protocols/rotations.py"),
     *("gateway/sources/makers.py", "gateway/modules/makers.py", "gateway/cli/emulate_makers.py"),
-    *("devices/emulators/vendor_emulator.py", "devices/emulators/vendor_emulators.py", "devices/emulators/makers_campaign.py"),
+    *(
+        "devices/emulators/vendor_emulator.py",
+        "devices/emulators/vendor_emulators.py",
+        "devices/emulators/makers_campaign.py",
+    ),
 )
 """What all makers have in common."""
 _ONE_FILE = "tests/system/test_another_makers_module.py"
-_LISTS = "gateway/sources/registry.py", "devices/emulators/vendor_emulators.py", "devices/emulators/makers_campaign.py"
+_LISTS = (
+    "gateway/sources/registry.py",
+    "devices/emulators/vendor_emulators.py",
+    "devices/emulators/makers_campaign.py",
+)
 
 
 def makers() -> list[Maker]:

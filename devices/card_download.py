@@ -73,7 +73,9 @@ class Card:
         await self._client.request(self._unique_id, Verb.CARD_ERASE, file)
 
     async def _piece(self, file: int, offset: int, length: int) -> bytes:
-        answered, start, data = await self._client.request(self._unique_id, Verb.CARD_READ, file, offset, length)
+        answered, start, data = await self._client.request(
+            self._unique_id, Verb.CARD_READ, file, offset, length
+        )
         if (answered, start) != (file, offset) or len(data) > length:
             raise CardError(
                 f"the card was asked for byte {offset} of file {file} and gave byte {start} of file "

@@ -95,8 +95,8 @@ class CommandClient:
             self.healths[received.module] = packet
 
     def _note_route(self, unique_id: bytes, chunk: Chunk) -> None:
-        """Note by which link, and from which sender, a device is reached; beyond ``MOST_DEVICES`` the oldest is forgotten, as ids may be made
-        up.
+        """Note by which link, and from which sender, a device is reached; beyond ``MOST_DEVICES`` the oldest
+        is forgotten, as ids may be made up.
         """
         self.link_of[unique_id], self.sender_of[unique_id] = chunk.link, chunk.sender
         if len(self.link_of) > MOST_DEVICES:
@@ -127,7 +127,9 @@ class CommandClient:
             )
         return payload
 
-    async def request_all(self, verb: Verb, *values: Any, known: Collection[bytes] = ()) -> dict[bytes, Answer]:
+    async def request_all(
+        self, verb: Verb, *values: Any, known: Collection[bytes] = ()
+    ) -> dict[bytes, Answer]:
         """Return the answers of all devices that can be heard, by unique id; no answer at all is no error.
 
         known: unique ids of the devices that were there a moment ago. Once they have answered nobody is asked

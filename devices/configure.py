@@ -265,12 +265,12 @@ class Configurator:
 
         Raises if the device refuses.
         """
-        ask = self.client.ask
+        request = self.client.request
         try:
             for name, raw in encoded.items():
-                await ask(unique_id, Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
+                await request(unique_id, Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
             # Until here nothing has changed: the device replaces all settings at once, or none.
-            await ask(unique_id, Verb.COMMIT)
+            await request(unique_id, Verb.COMMIT)
         except (NoAnswerError, LinkError) as error:
             return error
         except CommandRefusedError as error:

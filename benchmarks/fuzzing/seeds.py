@@ -114,7 +114,12 @@ def _of_the_wire() -> dict[str, list[bytes]]:
         "wire_stream": [*streams, b"".join(streams[:8])],
         "ximu3_stream": [*_messages("ximu3"), *_messages("ximu3_text"), _ANNOUNCED],
         "witmotion_stream": [*_messages("witmotion"), *_messages("witmotion_can"), *_REGISTERS],
-        "suit_datagrams": [*_messages("mvn"), *_messages("mocopi"), *_messages("bno08x_rvc"), *_MVN_DATAGRAMS],
+        "suit_datagrams": [
+            *_messages("mvn"),
+            *_messages("mocopi"),
+            *_messages("bno08x_rvc"),
+            *_MVN_DATAGRAMS,
+        ],
         "mti_stream": [*_messages("mti"), encode_can({"sample_time_us": (7,), "acceleration": (0, 0, 9.75)})],
         "slimevr_datagrams": [*_messages("slimevr")[:9], *_SLIMEVR],
         "can_stream": [*buses, b"".join(buses[:4])],

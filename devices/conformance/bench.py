@@ -170,7 +170,9 @@ class Bench:
             if each.packet.transaction == transaction and each.packet.unique_id == self.unique_id
         ]
 
-    async def request(self, verb: int, *values: Any, arguments: bytes | None = None) -> Acknowledgement | None:
+    async def request(
+        self, verb: int, *values: Any, arguments: bytes | None = None
+    ) -> Acknowledgement | None:
         """Ask the module by its unique id, again where it does not answer; None where it never does.
 
         values: as the verb declares them, or ``arguments`` as bytes.

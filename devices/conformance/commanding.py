@@ -92,7 +92,9 @@ async def get_info(bench: Bench) -> None:
 @rule("unknown_verb", "a verb that the device does not know is answered with result 1, never with silence")
 async def unknown_verb(bench: Bench) -> None:
     """Ask with a verb that does not exist yet."""
-    demand_result(await bench.request(UNKNOWN_VERB, arguments=b""), Result.UNKNOWN_VERB, f"verb {UNKNOWN_VERB}")
+    demand_result(
+        await bench.request(UNKNOWN_VERB, arguments=b""), Result.UNKNOWN_VERB, f"verb {UNKNOWN_VERB}"
+    )
 
 
 @rule("card_verbs", "what the device does not have is answered with result 9, never with silence")

@@ -6,7 +6,7 @@ import math
 import statistics
 from collections import Counter
 
-from devices.conformance.bench import Bench, ArrivedPacket, steps
+from devices.conformance.bench import ArrivedPacket, Bench, steps
 from devices.conformance.rule import BrokenError, SkippedError, demand, rule
 from devices.link import Framing
 from firmware_protocol import DeviceInfo, Health, InertialSample, InertialSampleFine

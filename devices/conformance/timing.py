@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from devices.conformance.bench import Bench, ArrivedPacket
+from devices.conformance.bench import ArrivedPacket, Bench
 from devices.conformance.rule import demand, rule
 from firmware_protocol import BROADCAST, MAX_MODULE, SyncRequest, SyncResponse
 from firmware_protocol.commands import Verb

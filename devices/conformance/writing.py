@@ -183,7 +183,9 @@ async def factory_reset(bench: Bench) -> None:
     kept = await backup(bench)
     await _stage(bench, "label", _LABEL)
     await _commit(bench)
-    answer = await bench.request(Verb.FACTORY_RESET, arguments=b"FACT")  # the right letters, the wrong way round
+    answer = await bench.request(
+        Verb.FACTORY_RESET, arguments=b"FACT"
+    )  # the right letters, the wrong way round
     demand_result(answer, Result.BAD_ARGUMENTS, "FACTORY_RESET with a wrong magic")
     demand(await held(bench, "label") == encoded_setting("label", _LABEL), "a wrong magic reset the module")
     try:

@@ -67,7 +67,11 @@ class SlimevrEmulator(VendorEmulator):
         """Answer the server; obey it where it switches the magnetometer, which nothing is fused from."""
         answers = self.session.receive(data, self._now_s)
         message = wire.read_from_server(data)
-        if isinstance(message, wire.FromServer) and message.kind == Kind.SET_SETTING and len(message.payload) == 4:
+        if (
+            isinstance(message, wire.FromServer)
+            and message.kind == Kind.SET_SETTING
+            and len(message.payload) == 4
+        ):
             sensor, setting, value = struct.unpack(">BHB", message.payload)
             if setting == wire.MAGNETOMETER:
                 self.session.sensors[0] = _sensor(is_on=bool(value))

@@ -255,7 +255,9 @@ class SuitTraffic:
         """What the host has said; its decoder counts what came damaged."""
         self._faults = {i: PacketFaults(imperfections, parts.random(i, RADIO), self.counts) for i in modules}
         make = settings.emulator
-        self.emulators: dict[int, VendorEmulator] = {} if make is None else {i: make(i) for i in self._inertial}
+        self.emulators: dict[int, VendorEmulator] = (
+            {} if make is None else {i: make(i) for i in self._inertial}
+        )
         """Of modules that speak as another maker's."""
         self._deliveries = {
             i: Delivery(

@@ -1,7 +1,7 @@
 """Modules of other makers: what the emulated ones sense, encoded in another protocol.
 
-A ``VendorEmulator`` stands where ``Encoding`` does, for one module on a link of its own: losses, delays and damage
-befall its bytes like any others.
+A ``VendorEmulator`` stands where ``Encoding`` does, for one module on a link of its own: losses, delays and
+damage befall its bytes like any others.
 """
 
 from __future__ import annotations
@@ -132,8 +132,8 @@ _Part = TypeVar("_Part")
 class Together(Generic[_Part]):
     """The parts of one instant that the modules of a body send, until all have come.
 
-    Modules send in turns, in their order, each of one instant or a few. When the turn begins anew nothing more
-    comes of the instants of the last one: what was lost is left out.
+    Modules send in turns, in their order, each of one instant or a few. When the turn begins anew nothing
+    more comes of the instants of the last one: what was lost is left out.
     """
 
     def __init__(self, modules: Iterable[int]) -> None:

@@ -44,13 +44,13 @@ VENDOR_EMULATORS: Mapping[str, Callable[[Sequence[int], float], Mapping[int, Ven
 
 
 async def announce(emulators: Iterable[tuple[VendorEmulator, int]], host: str) -> None:
-    """Have devices announce themselves to a host, again and again. emulators: each with the port that it sends
-    to; those that never announce themselves are silent."""
+    """Have devices announce themselves to a host, again and again. emulators: each with the port that it
+    sends to; those that never announce themselves are silent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sending:
         sending.setblocking(False)
-        announced = list(emulators)
+        devices = list(emulators)
         while True:
-            for emulator, port in announced:
+            for emulator, port in devices:
                 announced = emulator.announcement(port)
                 if announced is not None:
                     sending.sendto(announced[1], (host, announced[0]))

@@ -128,7 +128,9 @@ def analyse_motion(
     """Analyse a motion that is smooth already, as ``analyse`` does."""
     progress_of = progress or (lambda _: lambda _done, _total: None)
     skeleton = motion.skeleton
-    free = inverse_dynamics(motion, inertia, gravity, progress=progress_of("inverse dynamics without the floor"))
+    free = inverse_dynamics(
+        motion, inertia, gravity, progress=progress_of("inverse dynamics without the floor")
+    )
     known = None
     if measured is not None:
         known = measured_floor(measured.plates, measured.vertical, motion, free, motion.cutoff_hz)
@@ -148,7 +150,11 @@ def analyse_motion(
 
 
 def _floor(
-    motion: SmoothMotion, free: Dynamics, known: FloorForces | None, inertia: BodyInertia, progress_of: ProgressOf
+    motion: SmoothMotion,
+    free: Dynamics,
+    known: FloorForces | None,
+    inertia: BodyInertia,
+    progress_of: ProgressOf,
 ) -> FloorForces:
     """Measured where it was, estimated elsewhere if the body is whole, has feet, and the floor is level."""
     on = feet(motion.skeleton)

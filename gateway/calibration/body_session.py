@@ -133,7 +133,8 @@ class BodySession:
         is_known = np.isfinite(rates)
         mean = np.where(is_known, rates, 0.0).sum(axis=0) / np.maximum(is_known.sum(axis=0), 1)
         return [
-            Liveliness(bool(known), float(rate)) for known, rate in zip(is_known.any(axis=0), mean, strict=True)
+            Liveliness(bool(known), float(rate))
+            for known, rate in zip(is_known.any(axis=0), mean, strict=True)
         ]
 
     def result(self) -> BodyResult:
@@ -205,7 +206,9 @@ class BodySession:
         equations = self._equations(readings, {term.segment for term in poses})
         axes += self._hinges(readings, {term.segment for term in axes}, set(equations))
 
-        with_heading = _reached({term.segment for term in axes} | set(fields), equations, skeleton.parents.tolist())
+        with_heading = _reached(
+            {term.segment for term in axes} | set(fields), equations, skeleton.parents.tolist()
+        )
         for segment, found in zip(self._segments, findings, strict=True):
             found.has_no_heading = bool(found.poses) and segment not in with_heading
         poses = [term for term in poses if term.segment in with_heading]

@@ -76,7 +76,9 @@ def _messages(recording: Recording) -> dict[tuple[str, int], HeatMapMessage]:
     }
 
 
-def write_film(pictures: Iterable[Picture], target: Path, rate_hz: float, progress: Callable[[int], None]) -> int:
+def write_film(
+    pictures: Iterable[Picture], target: Path, rate_hz: float, progress: Callable[[int], None]
+) -> int:
     """Into an .mp4, or numbered images in a folder; how many. Raises ``CameraError``, OSError as ``mkdir``
     does."""
     done = 0

@@ -172,12 +172,14 @@ class LiveCrowd:
         return float((seen >= 2).mean()) >= _LEAST_SEEN
 
     def _frame_of(self, tracked: _Tracked, instant: Instant) -> HeatMapFrame:
-        """Return the heat maps of every camera of a person, by the gateway's number, else by that under which it
-        was found."""
+        """Return the heat maps of every camera of a person, by the gateway's number, else by that under
+        which it was found."""
         maps: list[CameraHeatMaps | None] = []
         for row in range(len(self._cameras)):
             messages = {message.person: message for message in instant.messages.get(row, ())}
-            maps.append(heat_maps_of(messages.get(tracked.ordered_number) or messages.get(tracked.found.get(row, -1))))
+            maps.append(
+                heat_maps_of(messages.get(tracked.ordered_number) or messages.get(tracked.found.get(row, -1)))
+            )
         return HeatMapFrame(instant.sequence, instant.time_ns, tuple(maps))
 
     def _encoded(self, frame: HeatMapFrame, instant: Instant) -> bytes:

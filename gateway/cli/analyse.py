@@ -101,7 +101,9 @@ def analyse_file(
     weighed = _inertia(arrays.skeleton, mass or recorded_kg, sex, inertia, file)
     measured = _measured(file, forces, suit)
     with progress_bar("torques", is_shown=not as_json) as progress:
-        found = analyse(arrays, file.stem, weighed, suit.gravity, cutoff or None, measured, lambda _: progress)
+        found = analyse(
+            arrays, file.stem, weighed, suit.gravity, cutoff or None, measured, lambda _: progress
+        )
     with progress_bar("muscles", is_shown=not as_json) as progress:
         pulled = _muscles(found, muscles, progress)
     written = _write(found, pulled, folder, to, slower if film else None, as_json)
@@ -195,7 +197,9 @@ def _motion(
     trial = read_markers(file)
     for note in trial.notes:
         typer.echo(f"note: {note}", err=True)
-    mass_kg = next((trial.parameters[key] for key in MASS_PARAMETERS if trial.parameters.get(key, 0) > 0), None)
+    mass_kg = next(
+        (trial.parameters[key] for key in MASS_PARAMETERS if trial.parameters.get(key, 0) > 0), None
+    )
     with tempfile.TemporaryDirectory(prefix="mocap-analysis-") as folder:
         target = Path(folder) / "solved.mcap"
         write_solved_trial(trial, file, suit, subject, target, progress, person)

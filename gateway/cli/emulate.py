@@ -49,7 +49,7 @@ from devices.emulators.vendor_emulators import VENDOR_EMULATORS, announce
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.cli.emulate_makers import VendorSuit, print_links, vendor_suit_of, emulators_of
+from gateway.cli.emulate_makers import VendorSuit, emulators_of, print_links, vendor_suit_of
 from gateway.cli.options import with_options
 from gateway.cli.terminal import TypedLines
 from gateway.emulation.rig import (
@@ -107,7 +107,8 @@ class Emulation:
     speaks: Annotated[
         str | None,
         typer.Option(
-            help=f"Speak as modules of another maker, each on a link of its own: {', '.join(VENDOR_EMULATORS)}."
+            help="Speak as modules of another maker, each on a link of its own: "
+            f"{', '.join(VENDOR_EMULATORS)}."
         ),
     ] = None
     on: Annotated[Medium, typer.Option(help="What to speak on.")] = Medium.PTY

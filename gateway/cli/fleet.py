@@ -230,7 +230,9 @@ def read_wearers(path: Path | None) -> dict[str, str]:
         loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
         raise GatewayError(f"{path} is no YAML: {str(error).splitlines()[0]}") from None
-    if not isinstance(loaded, dict) or not all(isinstance(text, str) for pair in loaded.items() for text in pair):
+    if not isinstance(loaded, dict) or not all(
+        isinstance(text, str) for pair in loaded.items() for text in pair
+    ):
         raise GatewayError(f"{path}: a wearer's name by gateway is wanted, such as gw001: anna")
     return loaded
 

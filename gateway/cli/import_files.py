@@ -102,7 +102,10 @@ def import_files(
         suit = _aligned(recording, suit, settings, wanted.neutral, wanted.forward)
     elif wanted.rig is None and FORMATS[name].axes == "modules":
         notes.append("modules are taken to lie along their segments; --neutral FROM:TO finds how they sit")
-    with progress_bar(f"importing {recording.name}", is_shown=not wanted.as_json) as progress, writing(target):
+    with (
+        progress_bar(f"importing {recording.name}", is_shown=not wanted.as_json) as progress,
+        writing(target),
+    ):
         done = write_imported(recording, suit, settings, files, target, progress)
     outcome = {
         "file": str(done.path), "format": name, "modules": done.modules, "seconds": round(done.seconds, 3),

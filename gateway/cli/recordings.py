@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from gateway.recording.summary import RecordingSummary
 
 
-AsJson = AsJson
-
-
 def recordings(
     folder: Annotated[Path, typer.Argument(help="Folder to look in.")] = Path("recordings"),
     as_json: AsJson = False,
@@ -107,7 +104,9 @@ def recover(
         if in_place:
             done = recover_in_place(file, progress)
         else:
-            done = recover_file(file, output or file.with_name(f"{file.stem}.recovered{file.suffix}"), progress)
+            done = recover_file(
+                file, output or file.with_name(f"{file.stem}.recovered{file.suffix}"), progress
+            )
     typer.echo(f"{done.path}: {done.messages} messages; {done.defect or 'nothing was wrong with it'}")
 
 

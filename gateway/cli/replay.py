@@ -56,7 +56,7 @@ def replay_live(
 
 
 def for_playing(settings: GatewaySettings, *, embedded: bool) -> GatewaySettings:
-    """Return settings with a queue for poses that come in bursts. embedded: publish on a broker of our own."""
+    """Return settings with a queue for poses that come in bursts. embedded: with a broker of our own."""
     # At full speed a short queue would drop what a live suit never would.
     changes: dict[str, object] = {"queue_length": max(settings.mqtt.queue_length, QUEUE)}
     if embedded:
@@ -99,7 +99,10 @@ class Brake:
 async def play(service: Service, link: ReplayLink | MarkerFileLink, as_json: bool) -> None:
     """Run the service until the link has come to its end, with a progress bar."""
     running = asyncio.ensure_future(until_signal(service))
-    with progress_bar("playing", is_shown=not as_json) as progress, contextlib.suppress(asyncio.CancelledError):
+    with (
+        progress_bar("playing", is_shown=not as_json) as progress,
+        contextlib.suppress(asyncio.CancelledError),
+    ):
         while not running.done():
             progress(link.position, link.size)
             await asyncio.wait({running}, timeout=_REFRESH_S)

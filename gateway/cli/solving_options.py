@@ -25,9 +25,9 @@ class SolvedOtherwise:
         float | None,
         typer.Option(min=0, max=MAX_DELAY_MS, help="For gyro_free: poses come so much later, and better."),
     ] = None
-    smooth: Annotated[
-        bool | None, typer.Option(help="Solve anew, forward and backward: more accurate.")
-    ] = None
+    smooth: Annotated[bool | None, typer.Option(help="Solve anew, forward and backward: more accurate.")] = (
+        None
+    )
 
     @property
     def is_asked_for(self) -> bool:

@@ -18,7 +18,15 @@ from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, axis_of, load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.cameras.camera_process import CameraTask
-from gateway.cli.options import CaFile, PasswordFile, Protocol, ReplaceFiles, Username, broker_settings, refuse_existing
+from gateway.cli.options import (
+    CaFile,
+    PasswordFile,
+    Protocol,
+    ReplaceFiles,
+    Username,
+    broker_settings,
+    refuse_existing,
+)
 from gateway.cli.terminal import progress_bar
 from gateway.contract.topics import CAMERA
 from gateway.errors import GatewayError
@@ -219,7 +227,9 @@ def overlay(
     drawn = drawn_instants(opened, video, rows, height=height, every=every, has_maps=heat_maps)
     total = min(source.info.count or 0 for source in sources) // every
     with progress_bar("drawing") as progress:
-        written = write_film(drawn, target, sources[0].info.rate_hz / every, lambda done: progress(done, total))
+        written = write_film(
+            drawn, target, sources[0].info.rate_hz / every, lambda done: progress(done, total)
+        )
     typer.echo(f"{target}: {written} pictures")
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from gateway.body.joint_angles import JointAngles
 from gateway.body.skeleton import Skeleton
 from gateway.contract.ros_messages import BodyTransforms
-from gateway.support.extras import require_package
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
+from gateway.support.extras import require_package
 
 TRANSFORMS, SCENE, ANGLES = "/tf", "/body", "/joint_angles"
 _BONE_RADIUS, _JOINT_RADIUS = 0.02, 0.03

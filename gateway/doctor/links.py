@@ -280,7 +280,9 @@ def _others_readability(links: Sequence[LinkSettings], makers: MakersModules) ->
     for link in links:
         received = makers.received(link.name)
         unread = {reason: count for reason, count in received.dropped.items() if reason != ANOTHER_SENDER}
-        yield from _line(f"{link.name}: data", link.url, sum(unread.values()), received.received, link.carries)
+        yield from _line(
+            f"{link.name}: data", link.url, sum(unread.values()), received.received, link.carries
+        )
         if strangers := received.dropped.get(ANOTHER_SENDER):
             found = f"{strangers:,} datagrams came from a second device"
             yield bad(f"{link.name}: senders", found, "let every device send to a port and a link of its own")

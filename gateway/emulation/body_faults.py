@@ -203,7 +203,9 @@ def outcome(run: Run, calm: Run, segments: list[int]) -> Outcome:
 
 def reported_after_s(run: Run, segments: list[int]) -> float:
     """Return the time from the fault until no segment counts as measured any more, s; NaN: never."""
-    is_reported = (run.status[:, segments] > Status.INTERPOLATED).all(axis=1) & (run.times_s >= run.case.begins_s)
+    is_reported = (run.status[:, segments] > Status.INTERPOLATED).all(axis=1) & (
+        run.times_s >= run.case.begins_s
+    )
     return float(run.times_s[is_reported][0] - run.case.begins_s) if is_reported.any() else np.nan
 
 

@@ -50,7 +50,9 @@ async def _asking(settings: MqttSettings, gateway: str) -> AsyncIterator[RemoteO
         yield remote
 
 
-async def _request(remote: RemoteOperations, gateway: str, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+async def _request(
+    remote: RemoteOperations, gateway: str, verb: str, data: Mapping[str, Any]
+) -> dict[str, Any]:
     try:
         async with asyncio.timeout(_ANSWER_S):
             return dict(await remote.perform(verb, data))

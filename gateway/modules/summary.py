@@ -334,7 +334,9 @@ class ModuleStates:
         if is_change or watched.published is None or _differs(state, watched.published):
             yield from self._publish(watched, state, is_change)
 
-    def _publish(self, watched: _Watched, state: ModuleState, is_change: bool) -> Iterator[tuple[str, Message]]:
+    def _publish(
+        self, watched: _Watched, state: ModuleState, is_change: bool
+    ) -> Iterator[tuple[str, Message]]:
         watched.published_ns, watched.published = state.t_ns, state
         if is_change:
             topic = MODULE_AVAILABILITY.format(id=watched.module)

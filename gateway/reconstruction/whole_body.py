@@ -317,8 +317,8 @@ class WholeBodyReconstructor:
             else f" (or module {rival} on the {_in_words(names[mounting.rival[s]])})"
         )
         return (
-            f"{_in_words(names[s])} and {around} disagree about the joint between them, as if module {module} "
-            f"were turned by {degrees:.0f}°{either}: check that it is worn as the rig says, or run "
+            f"{_in_words(names[s])} and {around} disagree about the joint between them, as if module "
+            f"{module} were turned by {degrees:.0f}°{either}: check that it is worn as the rig says, or run "
             "'calibrate body'"
         )
 

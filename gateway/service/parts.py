@@ -27,6 +27,10 @@ from gateway.support.processor import target_name
 def links_of(
     settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None], broker_port: Callable[[], int]
 ) -> list[Link]:
+    """Return the links of the configuration, opened again whenever they are lost.
+
+    on_change: called with a link's name and state. broker_port: of the broker, once it is known.
+    """
     links = [link_of(link, settings.mqtt, broker_port) for link in settings.links]
     # A file that was read to its end is not opened again.
     return [
@@ -56,6 +60,7 @@ def periodic_senders(
 
 
 def bridge_info(settings: GatewaySettings, suit: WornSuit, awaited: str | None) -> BridgeInfo:
+    """Return what the gateway publishes of itself. awaited: the method that is being compiled, if any."""
     ready, made = compiled.origins()
     worn = zip(suit.module_of_segment, suit.skeleton.segment_names, strict=True)
     return BridgeInfo(

@@ -91,8 +91,8 @@ def make_ready(
     """Compile what is still to be compiled of these methods, in as many processes as there are cores; takes
     half a minute to a minute.
 
-    progress: is given how many of all steps are done. folder: where it is to lie, ready elsewhere or not; else
-    ``CACHE_DIRECTORY``. Raises ``GatewayError`` if a step fails."""
+    progress: is given how many of all steps are done. folder: where it is to lie, ready elsewhere or not;
+    else ``CACHE_DIRECTORY``. Raises ``GatewayError`` if a step fails."""
     wanted = [name for name in names if folder is not None or not is_ready(name)]
     there = os.environ | ({} if folder is None else {"NUMBA_CACHE_DIR": str(folder)})
     needed = {part for name in wanted for part in _parts_of(name)}

@@ -6,11 +6,10 @@ import asyncio
 import contextlib
 import functools
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
-import gateway
 from devices.command_client import CommandClient
 from devices.link import (
     SUIT,
@@ -22,19 +21,16 @@ from devices.link import (
     gateway_time_ns,
 )
 from devices.link_counts import LinkCounts
-from devices.marker_file_link import MarkerFileLink
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
 from gateway.calibration.kept_rig import KeptRig
 from gateway.calibration.sensor_control import SensorControl
-from gateway.cameras.broker_link import link_of
 from gateway.contract.balances import Balance
-from gateway.contract.messages import BridgeInfo, KernelsInfo, ModuleInfo
+from gateway.contract.messages import BridgeInfo
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
-from gateway.geometry import compiled
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.makers import MakersModules
 from gateway.modules.module_log import ModuleLog, UnknownModules
@@ -57,17 +53,11 @@ from gateway.service.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, TICK_S,
 from gateway.service.own_requests import OwnRequests
 from gateway.service.parts import bridge_info, links_of, periodic_senders, unworn_modules
 from gateway.service.people import CARRIES, PeopleBeforeCameras
-from gateway.service.synchronisation import Synchroniser
-from gateway.service.triggering import Triggerer
 from gateway.settings import GatewaySettings, fitting_suit
-from gateway.sources.clock_mode import ClockMode
 from gateway.sources.losses import Cause
-from gateway.sources.makers import OthersLinkSettings
 from gateway.sources.registry import source_kind
-from gateway.sources.stream import Stream
 from gateway.stages.cameras import CameraStage
 from gateway.support.memory import bound_memory, give_back
-from gateway.support.processor import target_name
 from gateway.support.supervision import kept_running
 
 log = logging.getLogger(__name__)
@@ -232,7 +222,11 @@ class Service:
         """Return counters for the health message."""
         accounting = {balance.name: balance.summary() for balance in self.balances()}
         return {
-            **{section: values for sender in self._periodic_senders for section, values in sender.statistics().items()},
+            **{
+                section: values
+                for sender in self._periodic_senders
+                for section, values in sender.statistics().items()
+            },
             **self.pipeline.statistics(),
             "accounting": accounting,
             "links": {name: counts.summary() for name, counts in self._link_counts.items()},

@@ -55,7 +55,9 @@ class HeatMapSource(ListeningSource):
 
     def _frame(self, instant: Instant) -> HeatMapFrame:
         """Return the person without a number, in all cameras."""
-        shown = {row: each for row, messages in instant.messages.items() for each in messages if each.person == 0}
+        shown = {
+            row: each for row, messages in instant.messages.items() for each in messages if each.person == 0
+        }
         maps = tuple(heat_maps_of(shown.get(row)) for row in range(len(self._row)))
         return HeatMapFrame(instant.sequence, instant.time_ns, maps)
 
@@ -165,7 +167,8 @@ class Instants:
         whole = {row for row, people in self._waiting[sequence].items() if _is_whole(people.values())}
         missing = set(range(self._n)) - whole
         may_come = any(
-            self._last[row] <= sequence and self._now_ns - self._received_ns[row] < SILENT_NS for row in missing
+            self._last[row] <= sequence and self._now_ns - self._received_ns[row] < SILENT_NS
+            for row in missing
         )
         is_new = self._now_ns - self._since_ns[sequence] < PATIENCE_NS
         return may_come and (is_new or max(self._waiting) - sequence < PATIENCE)

@@ -162,7 +162,7 @@ class MtiCommands:
             firmware = await _answered(line, Mid.REQUEST_FIRMWARE)
             return Description(number.hex(), "MTi", ".".join(map(str, firmware[:3])) or None)
 
-        return await _configuring(line, ask)
+        return await _configuring(line, request)
 
     async def identify(self, line: CommandLine, seconds: int) -> None:
         """Raise ``GatewayError``: an MTi has no light to blink."""
@@ -175,7 +175,7 @@ class MtiCommands:
             sent = read_output_configuration(await _answered(line, Mid.OUTPUT_CONFIGURATION))
             return dict(sent) | {name: 0 for name in ITEMS if name not in sent}
 
-        return await _configuring(line, ask)
+        return await _configuring(line, request)
 
     async def write(self, line: CommandLine, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Send items at rates in Hz, none of those at 0; the device keeps that over a loss of power."""
@@ -209,7 +209,9 @@ class MtiCommands:
                 )
                 yield Advice(found, command.format(f"{name}={round(rate_hz)}"))
         if not settings.get("status_word"):
-            yield Advice("does not say when a sensor is clipped", command.format(f"status_word={EVERY_PACKET}"))
+            yield Advice(
+                "does not say when a sensor is clipped", command.format(f"status_word={EVERY_PACKET}")
+            )
 
 
 async def _configuring(line: CommandLine, work: Callable[[], Awaitable[_Found]]) -> _Found:

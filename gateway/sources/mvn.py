@@ -124,7 +124,9 @@ class MvnDevice(MakersDevice):
         """Return the readings of segments with their modules' records; ``_time_ns`` is then the instant."""
         if not readings:
             return ()
-        readings = sorted(readings, key=lambda each: -each[0])  # the pelvis last: it is whom fused frames wait for
+        readings = sorted(
+            readings, key=lambda each: -each[0]
+        )  # the pelvis last: it is whom fused frames wait for
         ids = [self.settings.module + segment for segment, _ in readings]
         self._reporting.update(ids)
         self._leader = ids[0] if self._leader is None else self._leader

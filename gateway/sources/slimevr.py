@@ -436,7 +436,9 @@ class SlimevrCommands:
         """Wait until it returns a ping, and return what it sent when it was greeted."""
         device = line.device
         assert isinstance(device, SlimevrDevice)
-        await line.request(wire.ping(0), lambda message: message if isinstance(message, Pong) else None, "ping")
+        await line.request(
+            wire.ping(0), lambda message: message if isinstance(message, Pong) else None, "ping"
+        )
         key, firmware = device.identity_of(line.module)
         return Description(key, "SlimeVR", firmware or None)
 

@@ -217,7 +217,13 @@ def _announced(data: bytes) -> Announced | None:
     more = {} if announced.receive_port == COMMAND_PORT else {"command_port": announced.receive_port}
     url = f"udp://0.0.0.0:{announced.send_port}?peers={announced.address}"
     return Announced(
-        "ximu3", announced.name, announced.serial_number.lower(), url, more, announced.battery_percent, announced.rssi_percent
+        "ximu3",
+        announced.name,
+        announced.serial_number.lower(),
+        url,
+        more,
+        announced.battery_percent,
+        announced.rssi_percent,
     )
 
 

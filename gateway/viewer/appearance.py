@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.viewer.texts import ENGLISH, translated, segment_name
+from gateway.viewer.texts import ENGLISH, segment_name, translated
 
 Colour = tuple[int, int, int]
 
@@ -87,7 +87,9 @@ def status_summary(statuses: Mapping[str, str], silent: Sequence[str], language:
     counts = Counter(statuses.values())
     if counts["measured"] == len(statuses):
         return translated(language, "all_measured", count=len(statuses))
-    counted = ", ".join(f"{counts[kind]} {translated(language, f'is_{kind}')}" for kind in COLOURS if counts[kind])
+    counted = ", ".join(
+        f"{counts[kind]} {translated(language, f'is_{kind}')}" for kind in COLOURS if counts[kind]
+    )
     if not silent:
         return counted
     named = ", ".join(segment_name(language, name) for name in silent[:MOST_NAMED])

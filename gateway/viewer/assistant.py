@@ -16,7 +16,7 @@ import viser
 from gateway.errors import GatewayError
 from gateway.modules.assignment import Proposal, Wardrobe
 from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, set_options, table
-from gateway.viewer.texts import translated, segment_name
+from gateway.viewer.texts import segment_name, translated
 
 LISTEN_S, BLINK_S, SHAKEN_S = 2.0, 5, 20.0
 
@@ -96,7 +96,11 @@ class Assistant(StepTab):
         self._offer_ports()
         verdicts = [one["verdict"] for one in self._examined["findings"]]
         bad, warnings = verdicts.count("bad"), verdicts.count("warning")
-        return self._translated("examined", bad=bad, warnings=warnings) if bad or warnings else self._translated("all_well")
+        return (
+            self._translated("examined", bad=bad, warnings=warnings)
+            if bad or warnings
+            else self._translated("all_well")
+        )
 
     def _offer_ports(self) -> None:
         """Show the choice of a port where a link has none that is there, and one is free."""
@@ -203,7 +207,9 @@ class Assistant(StepTab):
         failures = [f"…{uid[-6:]}: {why}" for uid, why in answer["failures"].items()]
         failures += [f"…{uid[-6:]}: {self._translated('silent')}" for uid in answer["absent"]]
         if failures:
-            return self._translated("undone_partly", count=len(answer["changes"]), failures="; ".join(failures))
+            return self._translated(
+                "undone_partly", count=len(answer["changes"]), failures="; ".join(failures)
+            )
         return self._translated("undone", count=len(answer["changes"]))
 
     def _unwritable(self, what: str, button: str) -> str | None:
@@ -212,7 +218,9 @@ class Assistant(StepTab):
             return self._translated("refused")
         if self._write.value:
             return None
-        return self._translated("first_write", what=what, write=self._translated("write"), button=self._translated(button))
+        return self._translated(
+            "first_write", what=what, write=self._translated("write"), button=self._translated(button)
+        )
 
     def _conflicts(self) -> list[str]:
         return conflict_lines(self._needed(), self._language)
@@ -297,7 +305,8 @@ def _cells(one: Mapping[str, Any], language: str) -> Sequence[str]:
 def findings(examined: Mapping[str, Any], language: str) -> str:
     """Return the answer of ``gateway/examine`` as HTML: ports, then findings, worst first."""
     ports = [
-        ("inherit", (port["name"], port["link"] or translated(language, "unused"))) for port in examined["ports"]
+        ("inherit", (port["name"], port["link"] or translated(language, "unused")))
+        for port in examined["ports"]
     ]
     found = sorted(examined["findings"], key=lambda one: ("bad", "warning", "good").index(one["verdict"]))
     text = "".join(_finding(one) for one in found if one["verdict"] != "good")

@@ -15,7 +15,7 @@ import viser
 from gateway.errors import GatewayError
 from gateway.viewer.step_pictures import step_picture
 from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, set_options, table
-from gateway.viewer.texts import translated, segment_name, step_name, texts
+from gateway.viewer.texts import segment_name, step_name, texts, translated
 
 COUNTDOWN_S, LOOK_S = 3.0, 0.4
 USUAL_HEIGHT_M = 1.75

@@ -327,7 +327,9 @@ class LiveViewer:
             panel.show_status(translated("no_broker"), translated("gets_it_back"), is_alarm=True)
         elif is_compiling:
             lines = self._pose_texts() if comes else ()
-            panel.show_status(name, translated("compiling", name=awaited), *lines, is_alarm=False, is_busy=True)
+            panel.show_status(
+                name, translated("compiling", name=awaited), *lines, is_alarm=False, is_busy=True
+            )
         elif age is None:
             begin = () if self._assistant is None else (translated("begin_here", tab=translated("tab")),)
             panel.show_status(translated("no_data"), translated("no_pose", name=name), *begin, is_alarm=True)
@@ -422,7 +424,9 @@ class LiveViewer:
         if family == "recording":
             file = str(answer.get("file", "")).rpartition("/")[2]
             clock = clock_of(answer.get("seconds"))
-            return self._panel.translated("answer_recording", file=file, clock=clock, marks=answer.get("marks", 0))
+            return self._panel.translated(
+                "answer_recording", file=file, clock=clock, marks=answer.get("marks", 0)
+            )
         text = ""
         if turned := answer.get("turned_deg"):
             text += self._panel.translated("answer_turned", turned=f"{turned:g}")

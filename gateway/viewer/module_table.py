@@ -14,7 +14,7 @@ from pydantic import JsonValue
 from firmware_protocol import RELAY
 from gateway.contract.messages import BridgeHealth, BridgeInfo
 from gateway.frames import Status
-from gateway.viewer.texts import ENGLISH, translated, segment_name
+from gateway.viewer.texts import ENGLISH, segment_name, translated
 
 _COLUMNS = ("id", "segment", "col_battery", "col_lost", "ppm", "± µs")
 _LOST_COLUMN = 3
@@ -155,7 +155,9 @@ def warnings_of(
     found = []
     if lost >= MUCH_LOST:
         found.append(
-            translated(language, "warn_lost", percent=f"{100 * lost:.0f}", modules=translated(language, "modules"))
+            translated(
+                language, "warn_lost", percent=f"{100 * lost:.0f}", modules=translated(language, "modules")
+            )
         )
     if latency_s >= LATE_S:
         found.append(translated(language, "warn_late", seconds=f"{latency_s:.1f}"))
@@ -194,7 +196,8 @@ def recorded_rows(
 def recorded_table(rows: list[tuple[str, ...]], language: str = ENGLISH) -> str:
     """Return rows of ``recorded_rows`` as an HTML table."""
     heads = [
-        translated(language, key) for key in ("segment", "share_measured", "share_interpolated", "share_missing")
+        translated(language, key)
+        for key in ("segment", "share_measured", "share_interpolated", "share_missing")
     ]
     cells = (
         "<tr>" + "".join(f'<td style="padding:1px 4px">{html.escape(cell)}</td>' for cell in row) + "</tr>"

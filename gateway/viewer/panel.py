@@ -17,7 +17,7 @@ from gateway.viewer.module_table import clock_of
 from gateway.viewer.pose_table import attitude, bend_deg
 from gateway.viewer.stage import STYLE, VIEWS, Stage
 from gateway.viewer.tab_names import rename
-from gateway.viewer.texts import ENGLISH, LANGUAGES, movement_name, translated, segment_name
+from gateway.viewer.texts import ENGLISH, LANGUAGES, movement_name, segment_name, translated
 
 PLOT_SPAN_S = 10.0
 _LINE_COLOURS = ("#d1495b", "#2e7d5b", "#30638e", "#edae49", "#8d5a97", "#5c5c5c")
@@ -172,7 +172,8 @@ class Panel:
         )
         self._offered = offer
         self._series = {
-            self.translated(kind, name=segment_name(self.language, name)): (kind, name) for kind, name in of_each
+            self.translated(kind, name=segment_name(self.language, name)): (kind, name)
+            for kind, name in of_each
         }
         self._plotted.options = tuple(self._series)
         for option, series in self._series.items():

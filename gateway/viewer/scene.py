@@ -17,7 +17,7 @@ from gateway.geometry import quaternion
 from gateway.viewer.appearance import COLOURS, FACE, MOST_NAMED, segment_colours, side_of
 from gateway.viewer.posture import Posture
 from gateway.viewer.stage import Stage
-from gateway.viewer.texts import ENGLISH, translated, segment_name
+from gateway.viewer.texts import ENGLISH, segment_name, translated
 
 AXES_LENGTH_M = 0.09
 _BODY = "/body"

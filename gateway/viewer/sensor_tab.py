@@ -9,7 +9,7 @@ from typing import Any
 import viser
 
 from gateway.viewer.step_tab import COLOURS, GOOD, NOTHING, Ask, StepTab, line, table
-from gateway.viewer.texts import translated, segment_name
+from gateway.viewer.texts import segment_name, translated
 
 LOOK_S = 1.0
 
@@ -88,11 +88,15 @@ class SensorTab(StepTab):
             self._is_watched = False
         is_found = status["phase"] == "found"
         self._offer(is_found, is_found)
-        return self._translated("sensors_ended" if is_found else "sensors_idle", begin=self._translated("sensors_begin"))
+        return self._translated(
+            "sensors_ended" if is_found else "sensors_idle", begin=self._translated("sensors_begin")
+        )
 
     def _advice(self, status: Mapping[str, Any]) -> str:
         modules = ", ".join(map(str, status["waited_for"]))
-        return self._translated(f"advice_{status['advice']}", modules=modules, result=self._translated("sensors_result"))
+        return self._translated(
+            f"advice_{status['advice']}", modules=modules, result=self._translated("sensors_result")
+        )
 
     async def _find(self) -> str:
         self._show_text(self._translated("works"))
@@ -111,7 +115,9 @@ class SensorTab(StepTab):
 
     async def _keep_in_modules(self) -> str:
         kept = await self._ask("sensors", "accept", {"flash": True})
-        return self._translated("sensors_kept", count=len(kept["accepted"]), where=self._translated("in_modules"))
+        return self._translated(
+            "sensors_kept", count=len(kept["accepted"]), where=self._translated("in_modules")
+        )
 
     async def _cancel(self) -> str:
         await self._ask("sensors", "cancel", {})
@@ -135,7 +141,9 @@ def progress_table(status: Mapping[str, Any], language: str) -> str:
         )
         for one in status["modules"]
     ]
-    return table([translated(language, key) for key in ("id", "segment", "at_rest_s", "positions", "turned")], rows)
+    return table(
+        [translated(language, key) for key in ("id", "segment", "at_rest_s", "positions", "turned")], rows
+    )
 
 
 def result_table(found: Mapping[str, Mapping[str, Mapping[str, Any]]], language: str) -> str:
@@ -143,7 +151,12 @@ def result_table(found: Mapping[str, Mapping[str, Mapping[str, Any]]], language:
     rows = [
         (
             COLOURS.get(one["quality"], COLOURS["bad"]),
-            (module, translated(language, sensor), translated(language, one["quality"]), "; ".join(one["reasons"])),
+            (
+                module,
+                translated(language, sensor),
+                translated(language, one["quality"]),
+                "; ".join(one["reasons"]),
+            ),
         )
         for module, each in found.items()
         for sensor, one in each.items()

@@ -17,7 +17,7 @@ from gateway.errors import GatewayError
 from gateway.recording import SkeletonArrays, open_recording
 from gateway.viewer.module_table import clock_of
 from gateway.viewer.step_tab import NOTHING, POOR, Ask, StepTab, set_options
-from gateway.viewer.texts import translated, segment_name
+from gateway.viewer.texts import segment_name, translated
 
 LARGEST_DOWNLOAD = 1 << 30
 """Bytes: it is kept in memory on its way to the browser."""
@@ -77,7 +77,9 @@ class TakesTab(StepTab):
         return self._list
 
     def _add_choice(self) -> Any:
-        self._take = self._server.gui.add_dropdown(self._translated("take"), tuple(self._files()) or (NOTHING,))
+        self._take = self._server.gui.add_dropdown(
+            self._translated("take"), tuple(self._files()) or (NOTHING,)
+        )
         return self._take
 
     def _add_formats(self) -> Any:
@@ -97,7 +99,9 @@ class TakesTab(StepTab):
     async def _stop(self) -> str:
         answer = await self._ask("recording", "stop", {})
         await self._look()
-        return self._translated("recorded", file=Path(str(answer["file"])).name, clock=clock_of(answer["seconds"]))
+        return self._translated(
+            "recorded", file=Path(str(answer["file"])).name, clock=clock_of(answer["seconds"])
+        )
 
     async def _look(self) -> str:
         self._listed = await self._ask("recording", "list", {})
@@ -136,7 +140,9 @@ class TakesTab(StepTab):
         made = await self._ask("recording", "export", {"file": take["file"], "to": to})
         await self._send(client, str(made["file"]))
         await self._look()
-        made_text = self._translated("exported", file=made["file"], frames=made["frames"], rate=f"{made['rate_hz']:g}")
+        made_text = self._translated(
+            "exported", file=made["file"], frames=made["frames"], rate=f"{made['rate_hz']:g}"
+        )
         guessed = [name for name, count in made["interpolated"].items() if count == made["frames"]]
         if not guessed:
             return made_text
@@ -163,11 +169,15 @@ class TakesTab(StepTab):
             piece = await self._ask("recording", "read", {"file": name, "offset": len(found)})
             data, size = base64.b64decode(piece["data"]), int(piece["bytes"])
             if size > LARGEST_DOWNLOAD:
-                raise GatewayError(self._translated("too_large", file=name, folder=(self._listed or {})["folder"]))
+                raise GatewayError(
+                    self._translated("too_large", file=name, folder=(self._listed or {})["folder"])
+                )
             if not data:
                 break
             found += data
-            self._show_text(self._translated("reads", file=name, percent=f"{100 * len(found) / max(size, 1):.0f}"))
+            self._show_text(
+                self._translated("reads", file=name, percent=f"{100 * len(found) / max(size, 1):.0f}")
+            )
         return bytes(found)
 
 
@@ -182,7 +192,11 @@ def takes_list(listed: Mapping[str, Any], language: str) -> str:
         f'<div style="color:{POOR}">{html.escape(problem)}</div>' for problem in listed["problems"]
     )
     free = listed.get("free_mb")
-    room = "" if free is None else f"<div>{html.escape(translated(language, 'room', gb=f'{free / 1e3:.1f}'))}</div>"
+    room = (
+        ""
+        if free is None
+        else f"<div>{html.escape(translated(language, 'room', gb=f'{free / 1e3:.1f}'))}</div>"
+    )
     return f'<div style="padding:0 12px 4px;font-size:12px">{room}{problems}{cards}</div>'
 
 

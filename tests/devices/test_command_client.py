@@ -124,7 +124,9 @@ async def test_many_at_once_are_not_mixed_up(commanded_suit):
         client = CommandClient([suit.link])
         async with client.reading():
             keys = [1, 2, 8, 1, 2]
-            asked = [client.request(suit.unique_id(n), Verb.READ_SETTING, key) for n in range(4) for key in keys]
+            asked = [
+                client.request(suit.unique_id(n), Verb.READ_SETTING, key) for n in range(4) for key in keys
+            ]
             answers = await asyncio.gather(*asked)
             assert [key for key, _ in answers] == keys * 4
             assert [raw[0] for key, raw in answers if key == 1] == [0, 0, 1, 1, 2, 2, 3, 3]

@@ -35,7 +35,10 @@ async def bus(request):
     channel = f"witmotion-{request.node.name}"
     emulators = witmotion_can_emulators(suit.module_ids, 49.0)
     traffic = SuitTraffic(
-        move_about(dress(suit), suit.skeleton.name, 1), SuitSettings(emulator=emulators.__getitem__), TYPICAL, 1
+        move_about(dress(suit), suit.skeleton.name, 1),
+        SuitSettings(emulator=emulators.__getitem__),
+        TYPICAL,
+        1,
     )
     transports = {module: CanBusTransport(channel) for module in suit.module_ids}
     emulated = EmulatedSuit(traffic, LinkPerDevice(transports))

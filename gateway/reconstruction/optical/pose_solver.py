@@ -118,7 +118,9 @@ def everyone(observed: FloatArray, scale: float) -> Seen:
 
 
 @compiled
-def _cost(model: BodyModel, observed: FloatArray, robust_weights: FloatArray, R: FloatArray, p: FloatArray) -> float:
+def _cost(
+    model: BodyModel, observed: FloatArray, robust_weights: FloatArray, R: FloatArray, p: FloatArray
+) -> float:
     """Return ½ Σ w r² of the markers, with the weights of the step before, plus the joints."""
     total = 0.0
     for m in range(len(observed)):

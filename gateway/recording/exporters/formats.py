@@ -60,7 +60,9 @@ FORMATS: dict[str, Format] = {
     "bvh": Format(
         ".bvh", "skeleton with joint rotations, for animation", Axes.Y_UP, 100.0, _writer("bvh.write")
     ),
-    "c3d": Format(".c3d", "joint centres, rotations, joint angles", Axes.Z_UP, 1000.0, _writer("c3d.write"), "ezc3d"),
+    "c3d": Format(
+        ".c3d", "joint centres, rotations, joint angles", Axes.Z_UP, 1000.0, _writer("c3d.write"), "ezc3d"
+    ),
     "sto": Format(
         ".sto", "orientations for OpenSim (OpenSense)", Axes.Y_UP, 1.0, _writer("opensim.write_sto")
     ),
@@ -70,15 +72,33 @@ FORMATS: dict[str, Format] = {
     ),
     "trc": Format(".trc", "joint centres as markers", Axes.Y_UP, 1000.0, _writer("trc.write")),
     "csv": Format(".csv", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_csv")),
-    "parquet": Format(".parquet", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_parquet"), "pyarrow"),
+    "parquet": Format(
+        ".parquet", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_parquet"), "pyarrow"
+    ),
     "gltf": Format(
-        ".glb", "animated skeleton, for browsers and 3-D programs", Axes.Y_UP, 1.0, _writer("gltf.write"), "pygltflib"
+        ".glb",
+        "animated skeleton, for browsers and 3-D programs",
+        Axes.Y_UP,
+        1.0,
+        _writer("gltf.write"),
+        "pygltflib",
     ),
     "ros2": Format(
-        ".ros2.mcap", "bag of ROS 2: transforms, joints, modules", Axes.Z_UP, 1.0, _writer("ros2.write"), follows="REP 103"
+        ".ros2.mcap",
+        "bag of ROS 2: transforms, joints, modules",
+        Axes.Z_UP,
+        1.0,
+        _writer("ros2.write"),
+        follows="REP 103",
     ),
     "foxglove": Format(
-        ".foxglove.mcap", "body and joint angles for Foxglove", Axes.Z_UP, 1.0, _writer("foxglove.write"), "foxglove", "REP 103"
+        ".foxglove.mcap",
+        "body and joint angles for Foxglove",
+        Axes.Z_UP,
+        1.0,
+        _writer("foxglove.write"),
+        "foxglove",
+        "REP 103",
     ),
 }
 """By name on the command line."""

@@ -174,7 +174,9 @@ class GnssDecoder:
 
 
 def _ubx_time(parsed: Any) -> datetime:
-    whole = datetime(parsed.year, parsed.month, parsed.day, parsed.hour, parsed.min, min(parsed.second, 59), tzinfo=UTC)
+    whole = datetime(
+        parsed.year, parsed.month, parsed.day, parsed.hour, parsed.min, min(parsed.second, 59), tzinfo=UTC
+    )
     return datetime.fromtimestamp(whole.timestamp() + parsed.nano * 1e-9, UTC)
 
 

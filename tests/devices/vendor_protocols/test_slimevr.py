@@ -153,7 +153,9 @@ def test_a_tracker_asks_every_second_until_it_is_greeted():
     made = session()
     assert [made.due(t) is not None for t in (0.0, 0.5, 1.0, 1.9, 2.0)] == [True, False, True, False, True]
     assert made.data([(17, b"")]) == []
-    assert made.receive(wire.encode(Kind.ROTATION), 2.0) == []  # of somebody else: no answer before a greeting
+    assert (
+        made.receive(wire.encode(Kind.ROTATION), 2.0) == []
+    )  # of somebody else: no answer before a greeting
     made.receive(wire.GREETING, 2.1)
     assert made.is_connected
     assert made.due(4.0) is None

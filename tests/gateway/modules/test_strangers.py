@@ -25,7 +25,7 @@ def test_strangers_are_told_once_with_those_of_the_rig_that_are_missing():
     )
     assert unknown.news() is None
     stream.modules[3] = heard()
-    assert (unknown.news(), strangers.known) == (None, 2)
+    assert (unknown.news(), unknown.known) == (None, 2)
     stream.modules[8] = heard()
     assert "module 7, 8, 9 (" in unknown.news()
 

@@ -20,7 +20,7 @@ from gateway.viewer.sensor_tab import result_table as sensor_table
 from gateway.viewer.step_pictures import step_picture
 from gateway.viewer.step_tab import Errands
 from gateway.viewer.takes import takes_list
-from gateway.viewer.texts import LANGUAGES, movement_name, translated, texts
+from gateway.viewer.texts import LANGUAGES, movement_name, texts, translated
 
 
 def device(module, unique_id, segment, **more):
