@@ -112,11 +112,13 @@ class PoseEncoder:
                 np.divide(rounded, self._scale, rounded)
                 np.add(rounded, 0.0, rounded)
             text = orjson.dumps(rounded, option=orjson.OPT_SERIALIZE_NUMPY)
+            # What is not finite is null in JSON: then the message is made the slow way, row by row.
             if b"null" in text:
                 return None
             rows += text[2:-2].split(b"],[") if rounded.ndim == 2 else text[1:-1].split(b",")
         if len(frame.status) != len(self._names):
             return None
+        # Root and status hardly ever change: all but the numbers is encoded once, and kept.
         key = (frame.root, frame.status.tobytes())
         if key != self._template_key:
             self._template_key, self._template = key, self._template_of(frame)

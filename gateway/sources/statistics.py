@@ -81,11 +81,13 @@ class SequenceCounter(Row):
         if not self._goes_on:
             self._shift = sequence - (self._newest + 1)
             self._goes_on = True
+        # Nearest to the number that is due: a packet that was overtaken is not taken for one of the next turn.
         return self._take(unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1), link)
 
     def count_unwrapped(self, full: int, link: LinkLosses) -> int | None:
         """Return the same for a number that is unwrapped already."""
         if not self._goes_on:
+            # A new run of the sender may count from below: our numbers never go back.
             begin = max(self._newest, full - 1)
             self._first += begin - self._newest
             self._newest = begin

@@ -94,7 +94,7 @@ def test_a_flood_of_one_address_pushes_out_its_own():
     assert len(crowd) == 8
     crowd.enter("late", "10.0.0.2")
     crowd.note_request("late")
-    assert {"early and slow", "late"} <= set(crowd._speaking)
+    assert {"early and slow", "late"} <= set(crowd._active)
 
 
 def test_one_address_does_not_take_all_places():
@@ -126,11 +126,11 @@ def test_never_more_than_there_is_room_for(steps):
     crowd = Crowd(4, 3)
     for step, visitor in steps:
         with contextlib.suppress(CrowdedError):
-            if step == "e" and visitor not in crowd._speaking:
+            if step == "e" and visitor not in crowd._active:
                 crowd.enter(visitor, str(visitor % 3))
             elif step == "s":
                 crowd.note_request(visitor)
             elif step == "l":
                 crowd.leave(visitor)
         assert len(crowd) <= 4
-        assert not crowd._silent.keys() & crowd._speaking.keys()
+        assert not crowd._silent.keys() & crowd._active.keys()
