@@ -195,7 +195,7 @@ def _print_cameras(output: Path, rows: list[dict[str, Any]], as_json: bool) -> N
     typer.echo(f"{output}: {len(rows)} cameras")
 
 
-_UNHEARD_S = 10.0
+_SILENT_S = 10.0
 
 
 def clocks(
@@ -260,9 +260,9 @@ async def _measure_clocks(settings: GatewaySettings, calibration: ClockCalibrati
             while not calibration.is_complete and not all(task.done() for task in tasks):
                 await asyncio.wait(tasks, timeout=0.2, return_when=asyncio.ALL_COMPLETED)
                 progress.update(bar, completed=calibration.elapsed_s)
-                if not calibration.received and gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9:
+                if not calibration.received and gateway_time_ns() - begin_ns > _SILENT_S * 1e9:
                     raise GatewayError(
-                        f"no module of the rig was heard for {_UNHEARD_S:.0f} s: are they switched on, "
+                        f"no module of the rig was heard for {_SILENT_S:.0f} s: are they switched on, "
                         "and is the link right?"
                     )
     # Links must be closed before the result is looked at, also after an error.

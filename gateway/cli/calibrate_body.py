@@ -93,7 +93,7 @@ def _reasons(reasons: Sequence[str]) -> str:
 
 
 _REFRESH_S = 0.1
-_UNHEARD_S = 10.0
+_SILENT_S = 10.0
 _PATIENCE = {"max_wait_ms": 1000.0, "max_gap_ms": 200.0}
 """Of the assembly: nobody waits for these frames, so that late samples may come."""
 _SOLVING = (
@@ -264,9 +264,9 @@ class _Guide:
         begin_ns = gateway_time_ns()
         with console.status("waiting for the modules"):
             while not self.session.now_ns:
-                if gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9 and not self._is_emulated:
+                if gateway_time_ns() - begin_ns > _SILENT_S * 1e9 and not self._is_emulated:
                     # Solving takes seconds, in a thread: samples keep being read meanwhile.
-                    raise GatewayError(_NOT_ALIVE.format(_UNHEARD_S))
+                    raise GatewayError(_NOT_ALIVE.format(_SILENT_S))
                 await asyncio.sleep(_REFRESH_S)
         self._begin_ns = begin_of_script(gateway_time_ns()) - round(PERIOD_S * 1e9)
 

@@ -134,7 +134,7 @@ def _bar(share: float) -> Text:
 
 
 _REFRESH_S = 0.25
-_UNHEARD_S = 10.0
+_SILENT_S = 10.0
 _SAME_DIP_DEG = 0.5
 
 
@@ -272,10 +272,10 @@ async def _show_until_done(
             live.update(Group(head, progress_table(session, progress)), refresh=True)
             if all(session.is_enough(one) for one in progress.values()):
                 return
-            is_late = gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9
+            is_late = gateway_time_ns() - begin_ns > _SILENT_S * 1e9
             if is_late and not any(one.samples for one in progress.values()):
                 raise GatewayError(
-                    f"no module of the rig was heard for {_UNHEARD_S:.0f} s: are they switched on, and is "
+                    f"no module of the rig was heard for {_SILENT_S:.0f} s: are they switched on, and is "
                     "the link right?"
                 )
             with contextlib.suppress(TimeoutError):

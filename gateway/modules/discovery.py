@@ -22,7 +22,7 @@ async def discovered(seconds: float, host: str = EVERYWHERE) -> list[Announced]:
     """
     found: dict[tuple[str, str], Announced] = {}
     tasks = [
-        asyncio.create_task(_hear(UdpLink(host, kind.discovery.port), kind.discovery, found))
+        asyncio.create_task(_listen(UdpLink(host, kind.discovery.port), kind.discovery, found))
         for kind in SOURCES.values()
         if kind.discovery is not None
     ]
@@ -72,7 +72,7 @@ def link_line(announced: Announced, *others: Announced, module: int | str = "NUM
     )
 
 
-async def _hear(link: UdpLink, discovery: Discovery, found: dict[tuple[str, str], Announced]) -> None:
+async def _listen(link: UdpLink, discovery: Discovery, found: dict[tuple[str, str], Announced]) -> None:
     await link.open()
     try:
         async for chunk in link:

@@ -131,7 +131,7 @@ class ModuleOperations:
         (roster, makers), before = await asyncio.gather(
             self._in_turn(self._discover_all), self._counted_from(before, request.listen_s)
         )
-        await self._hear_descriptions({device.module for device in roster.devices} | makers.keys())
+        await self._await_descriptions({device.module for device in roster.devices} | makers.keys())
         after = count_samples(self._stream, gateway_time_ns())
         listed = summarise(roster, self._stream, self._suit, before, after, makers)
         return {
@@ -152,7 +152,7 @@ class ModuleOperations:
         await asyncio.sleep(0.5 * listen_s)
         return before if before.samples.keys() >= half_way.samples.keys() else half_way
 
-    async def _hear_descriptions(self, known: Collection[int]) -> None:
+    async def _await_descriptions(self, known: Collection[int]) -> None:
         """Wait, as long as one may take, for what those that answer no commands say of themselves."""
         modules = self._stream.modules
         while gateway_time_ns() < self._began_ns + _DESCRIBED_NS:

@@ -81,7 +81,7 @@ class SequenceCounter(Row):
         if not self._goes_on:
             self._shift = sequence - (self._newest + 1)
             self._goes_on = True
-        # Nearest to the number that is due: a packet that was overtaken is not taken for one of the next turn.
+        # Nearest to the number that is due: one that was overtaken is not taken for one of the next turn.
         return self._take(unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1), link)
 
     def count_unwrapped(self, full: int, link: LinkLosses) -> int | None:

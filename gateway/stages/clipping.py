@@ -42,7 +42,7 @@ end."""
 
 MOST_MODULES = 256
 """An id has one byte."""
-_UNHEARD = -1
+_NEVER_SEEN = -1
 
 _AXIS = np.dtype(
     [
@@ -87,7 +87,7 @@ class RangeWatch:
     def __init__(self, ranges: Mapping[int, SensorRanges]) -> None:
         """Watch modules for clipping; ``ranges`` are those that the rig states, by module id."""
         self._ranges = ranges
-        self._rows = np.full(MOST_MODULES, _UNHEARD, np.int64)  # of ``_watched``, by module id
+        self._rows = np.full(MOST_MODULES, _NEVER_SEEN, np.int64)  # of ``_watched``, by module id
         self._watched = np.zeros(0, _WATCHED)
         nothing = np.zeros(0, INERTIAL_SAMPLE), self._rows, self._watched, np.zeros(0, np.uint8)
         self._watch = for_types_of(_watch, *nothing)
@@ -109,7 +109,7 @@ class RangeWatch:
     def found(self) -> dict[int, dict[str, FoundRange]]:
         """Return where sensors have been clipped, by module and sensor."""
         result: dict[int, dict[str, FoundRange]] = {}
-        for module in np.flatnonzero(self._rows != _UNHEARD).tolist():
+        for module in np.flatnonzero(self._rows != _NEVER_SEEN).tolist():
             row = self._rows[module]
             for sensor, name in ((SPECIFIC_FORCE, "specific_force"), (ANGULAR_RATE, "angular_rate")):
                 count = int(self._watched["clipped"][row, sensor])
@@ -153,7 +153,7 @@ def _watch(
     Return how many samples have some; of a module without a row −1 − its id, and nothing is changed."""
     for index in range(len(samples)):
         # Before anything is changed, as the caller makes a row and begins again.
-        if rows[samples[index].module] == _UNHEARD:
+        if rows[samples[index].module] == _NEVER_SEEN:
             return -1 - int(samples[index].module)
     found = 0
     for index in range(len(samples)):

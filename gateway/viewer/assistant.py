@@ -45,7 +45,7 @@ class Assistant(StepTab):
 
     def choose_segment(self, segment: str) -> None:
         """Choose the segment of a limb that was clicked."""
-        if segment in (self._listed or NONE_HEARD)["segments"]:
+        if segment in (self._listed or NO_MODULES)["segments"]:
             # the library's property has a setter, which the type checker does not see
             self._segment.value = segment_name(self._language, segment)  # type: ignore[misc]
 
@@ -147,11 +147,11 @@ class Assistant(StepTab):
 
     def _chosen_device(self) -> str:
         """Unique id of the module that is chosen; empty: none is."""
-        return devices_of(self._listed or NONE_HEARD, self._language).get(self._device.value, "")
+        return devices_of(self._listed or NO_MODULES, self._language).get(self._device.value, "")
 
     def _chosen_segment(self) -> str:
         """Return the name of the chosen segment in the body, or an empty text."""
-        segments = (self._listed or NONE_HEARD)["segments"]
+        segments = (self._listed or NO_MODULES)["segments"]
         named: dict[str, str] = {segment_name(self._language, name): name for name in segments}
         return named.get(self._segment.value, "")
 
@@ -231,7 +231,7 @@ class Assistant(StepTab):
         return self._listed
 
 
-NONE_HEARD: Mapping[str, Any] = {"modules": (), "segments": {}}
+NO_MODULES: Mapping[str, Any] = {"modules": (), "segments": {}}
 """What is known of modules before they are looked for."""
 
 

@@ -45,7 +45,7 @@ class BodySteps(StepTab):
 
     def look(self) -> None:
         """Find out how tall the wearer is said to be: another body is shown."""
-        self._errands.start(self._take_measures, lambda _said: None)
+        self._errands.start(self._take_measures, lambda _text: None)
 
     def _add_parts(self) -> list[Any]:
         gui = self._server.gui

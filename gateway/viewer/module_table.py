@@ -137,7 +137,7 @@ def health_line(
 
     lost: share of the samples, 0 to 1. recording: the gateway's status of it, which has the disk's room.
     """
-    parts = [translated(language, "modules_heard", heard=worn - silent, worn=worn)] if worn else []
+    parts = [translated(language, "modules_heard", reporting=worn - silent, worn=worn)] if worn else []
     parts.append(translated(language, "share_lost", percent=f"{100 * lost:.1f}"))
     free_mb = recording.get("free_mb")
     if isinstance(free_mb, int | float):
