@@ -384,16 +384,22 @@ class _ArrayFinder(Protocol):
 
     def poses(
         self, observations: Sequence[ImuFrame], frames: StackedFrames, stood_s: FloatArray
-    ) -> Poses: ...
+    ) -> Poses:
+        """Return the poses of frames in order. stood_s: (T, S) s that each segment has been at rest."""
+        ...
 
 
 @runtime_checkable
 class _Resumable(Protocol):
     """A finder whose state can be saved."""
 
-    def state(self) -> dict[str, NDArray[np.generic]]: ...
+    def state(self) -> dict[str, NDArray[np.generic]]:
+        """Return all that it keeps from frame to frame, by name."""
+        ...
 
-    def set_state(self, state: dict[str, NDArray[np.generic]]) -> None: ...
+    def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
+        """Go on from what ``state`` returned."""
+        ...
 
 
 def _in_words(segment: str) -> str:
