@@ -35,7 +35,7 @@ class CardFile(NamedTuple):
 
 
 class Card:
-    """The memory card of one device, through its commands. Methods raise as ``CommandClient.ask``."""
+    """The memory card of one device, through its commands. Methods raise as ``CommandClient.request``."""
 
     def __init__(self, client: CommandClient, unique_id: bytes) -> None:
         self._client = client

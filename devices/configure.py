@@ -94,13 +94,13 @@ class Configurator:
         return self.roster
 
     async def identify(self, unique_id: bytes, seconds: int) -> None:
-        """Make a device blink; 0 stops it. Raises as ``CommandClient.ask``."""
+        """Make a device blink; 0 stops it. Raises as ``CommandClient.request``."""
         await self.client.request(unique_id, Verb.IDENTIFY, seconds)
 
     async def read(self, unique_id: bytes, names: Iterable[str]) -> dict[str, Value]:
         """Return settings of a device by name.
 
-        Raises as ``CommandClient.ask``, ``ValueError`` for no such name.
+        Raises as ``CommandClient.request``, ``ValueError`` for no such name.
         """
         return {name: await self._read_one(unique_id, name) for name in names}
 
