@@ -382,9 +382,7 @@ def _numbers(pose: SkeletonFrame) -> IntArray:
 class _ArrayFinder(Protocol):
     """A finder that takes many frames in one call, in arrays."""
 
-    def poses(
-        self, observations: Sequence[ImuFrame], frames: StackedFrames, stood_s: FloatArray
-    ) -> Poses:
+    def poses(self, observations: Sequence[ImuFrame], frames: StackedFrames, stood_s: FloatArray) -> Poses:
         """Return the poses of frames in order. stood_s: (T, S) s that each segment has been at rest."""
         ...
 

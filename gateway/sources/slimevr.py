@@ -233,6 +233,7 @@ class SlimevrDevice(MakersDevice):
 
     def sent(self, chunk: SentChunk) -> None:
         """Note when a ping left."""
+        # A ping is its kind, a number of eight bytes, and the token.
         if chunk.data[:4] == bytes((0, 0, 0, Kind.PING)) and len(chunk.data) == 16:
             token = int.from_bytes(chunk.data[12:], "big")
             self._asked[token % _TOKENS] = token, chunk.sent_ns
@@ -252,9 +253,8 @@ class SlimevrDevice(MakersDevice):
                     "switch it on, in this machine's network; it stays with whoever answers first: close the "
                     "SlimeVR server",
                 )
-                continue
+                continue  # without orientations nothing else can be said of the tracker
             if found.acceleration is None:
-                # Without orientations nothing else can be said of the tracker.
                 yield Advice(
                     f"tracker {_shown(key)} (module {module}) sends no acceleration: without it joints "
                     "tell little",
@@ -272,6 +272,7 @@ class SlimevrDevice(MakersDevice):
         """Return whether a tracker's magnetometer is on; None: it has none, or has not said so."""
         tracker, sensor = self._of(module)
         info = None if tracker is None else tracker.infos.get(sensor)
+        # Bit 1 says that there is one, bit 0 that it is on.
         return None if info is None or not info.settings & 2 else bool(info.settings & 1)
 
     def identity_of(self, module: int) -> tuple[str, str]:
@@ -305,6 +306,7 @@ class SlimevrDevice(MakersDevice):
         host = chunk.sender.rpartition(":")[0].strip("[]")
         if isinstance(message, Handshake):
             key = message.mac if message.mac in self._keys or host not in self._keys else host
+        # One that is entered by its address is known without a handshake, which came before we listened.
         elif host in self._keys:
             key = host
         elif isinstance(message, Pong) and (returned := self._key_of(message.token)) is not None:
@@ -321,6 +323,7 @@ class SlimevrDevice(MakersDevice):
             if known.key == tracker.key:  # it comes from another port now
                 self._forget(sender)
         if len(self.trackers) >= _MOST_TRACKERS:
+            # Those without a number make room first, of each kind the one that is silent longest.
             silent = min(self.trackers.values(), key=lambda each: (each.key in self._keys, each.received_ns))
             if silent.key in self._keys:
                 self._strange["too_many_trackers"] += 1
@@ -331,6 +334,7 @@ class SlimevrDevice(MakersDevice):
 
     def _forget(self, sender: str) -> None:
         gone = self.trackers.pop(sender)
+        # What it counted stays counted: counters in the health message never fall.
         self._gone += gone.decoder.dropped
         self._gone_unused += gone.decoder.unused
         self._beaten_ns.pop(sender, None)
