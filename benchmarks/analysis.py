@@ -72,8 +72,8 @@ def _add_moments(report: Report, walk: AnalysedTrial) -> None:
     rows = moment_rows(walk)
     for row in rows:
         if row.side == "left" and row.movement in ("dorsiflexion", "flexion"):
-            note = f"left {row.joint} {row.movement} of peak {np.abs(row.told).max():.0f} N m, same axes"
-            value = rms(row.distal - row.told)
+            note = f"left {row.joint} {row.movement} of peak {np.abs(row.recorded).max():.0f} N m, same axes"
+            value = rms(row.distal - row.recorded)
             report.figures.append(Figure(f"{row.joint}_moment_rmse", value, "N m", "", note))
     report.tables.append(
         "## Joint moments of a walking trial against the file's Plug-in-Gait, N m\n\n"

@@ -36,7 +36,7 @@ def live_beside(trial: AnalysedTrial) -> LiveAgreement:
     found = analyse(trial.arrays, "walk", trial.inertia, GRAVITY, CUTOFF_HZ)
     whole = find_muscles(found).activity
     live = LiveMuscles(trial.arrays.skeleton, trial.files.body_kg)
-    told, then, spent, due = [], [], [], -np.inf
+    activities, then, spent, due = [], [], [], -np.inf
     for k, at in enumerate(take.time_s.tolist()):
         live.add(at, take.q_wb[k], take.p_w[k, root])
         if at < due:
@@ -46,9 +46,9 @@ def live_beside(trial: AnalysedTrial) -> LiveAgreement:
         answer = live.now()
         if answer is not None:
             spent.append(time.process_time() - begun)
-            told.append(answer.activity)
+            activities.append(answer.activity)
             then.append(whole[int(np.argmin(np.abs(take.time_s - answer.time_s)))])
-    ours, ref = np.array(told), np.array(then)
+    ours, ref = np.array(activities), np.array(then)
     singly = [np.corrcoef(ours[:, i], ref[:, i])[0, 1] for i in np.flatnonzero(ref.max(axis=0) > _AT_WORK)]
     together = float(np.corrcoef(ours.ravel(), ref.ravel())[0, 1])
     return LiveAgreement(together, rms(ours - ref), float(np.median(singly)), 1e3 * float(np.median(spent)))

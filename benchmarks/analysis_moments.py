@@ -26,7 +26,7 @@ class MomentRow(NamedTuple):
     side: str
     joint: str
     movement: str
-    told: FloatArray  # (n,)
+    recorded: FloatArray  # (n,)
     ours: FloatArray
     """Along the axis of our angle."""
     distal: FloatArray
@@ -41,12 +41,14 @@ def moment_rows(trial: AnalysedTrial) -> list[MomentRow]:
         frames = _given_frames(trial, side)
         for (joint, movement), (label, column) in MOMENTS.items():
             moments = trial.trial.columns((f"{side[0].upper()}{label}Moment",))[frames, 0, column]
-            told = -moments / trial.trial.metres_per_unit * 1e-3 * trial.files.body_kg  # N mm/kg, outer load
-            known = np.isfinite(told)
+            recorded = (
+                -moments / trial.trial.metres_per_unit * 1e-3 * trial.files.body_kg
+            )  # N mm/kg, outer load
+            known = np.isfinite(recorded)
             ours = torque(trial.measured, f"{side}_{joint}", movement)[frames][known]
             distal = _about_distal(trial.measured, f"{side}_{_SEGMENTS[joint]}", column)[frames][known]
             distal = distal * np.sign(distal @ ours)
-            rows.append(MomentRow(side, joint, movement, told[known], ours, distal, frames[known]))
+            rows.append(MomentRow(side, joint, movement, recorded[known], ours, distal, frames[known]))
     return rows
 
 
@@ -54,17 +56,17 @@ def given_table(rows: list[MomentRow]) -> tuple[list[str], list[list[str]]]:
     """Peaks, errors and correlations about either axis."""
     heads = ["joint", "movement", "file's peak", "peak", "RMSE", "r", "distal axes: peak", "RMSE", "r"]
     cells = [
-        [f"{row.side} {row.joint}", row.movement, f"{np.abs(row.told).max():.1f}",
-         *agreement(row.ours, row.told), *agreement(row.distal, row.told)]
+        [f"{row.side} {row.joint}", row.movement, f"{np.abs(row.recorded).max():.1f}",
+         *agreement(row.ours, row.recorded), *agreement(row.distal, row.recorded)]
         for row in rows
     ]  # fmt: skip
     return heads, cells
 
 
-def agreement(ours: FloatArray, told: FloatArray) -> tuple[str, str, str]:
+def agreement(ours: FloatArray, recorded: FloatArray) -> tuple[str, str, str]:
     """Peak, RMSE, correlation."""
-    r = float(np.corrcoef(ours, told)[0, 1])
-    return f"{np.abs(ours).max():.1f}", f"{rms(ours - told):.1f}", f"{r:.3f}"
+    r = float(np.corrcoef(ours, recorded)[0, 1])
+    return f"{np.abs(ours).max():.1f}", f"{rms(ours - recorded):.1f}", f"{r:.3f}"
 
 
 def torque(found: Analysis, joint: str, movement: str) -> FloatArray:
@@ -78,8 +80,8 @@ def _given_frames(trial: AnalysedTrial, side: str) -> IntArray:
     """Those of a foot on a plate that the file took into account: of some steps it did not."""
     frames = on_plates(trial.measured, side)
     taken = trial.trial.columns((f"{side[0].upper()}GroundReactionForce",))[frames, 0]
-    told: IntArray = frames[np.isfinite(taken).all(axis=1)]
-    return told
+    recorded: IntArray = frames[np.isfinite(taken).all(axis=1)]
+    return recorded
 
 
 def _about_distal(found: Analysis, segment: str, column: int) -> FloatArray:

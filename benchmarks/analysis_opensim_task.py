@@ -127,8 +127,10 @@ def _asked(found: Analysis, muscles: MuscleResult) -> list[str]:
 
 def coordinate(found: Analysis, joint: int, angle: int) -> str:
     """OpenSim's name of one of our angles."""
-    told = found.skeleton.joints[joint]
-    return f"{found.skeleton.segment_names[told.distal]}_r{'xyz'[told.angles[angle].axis_index]}"
+    found_joint = found.skeleton.joints[joint]
+    return (
+        f"{found.skeleton.segment_names[found_joint.distal]}_r{'xyz'[found_joint.angles[angle].axis_index]}"
+    )
 
 
 def _wires(found: Analysis, muscles: MuscleResult) -> list[dict[str, Any]]:

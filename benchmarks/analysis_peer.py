@@ -143,7 +143,7 @@ def _activities(muscles: MuscleResult, ours: FloatArray, theirs: FloatArray) -> 
 
 
 def _arms(
-    found: Analysis, muscles: MuscleResult, frames: list[int], told: dict[str, dict[str, list[float]]]
+    found: Analysis, muscles: MuscleResult, frames: list[int], columns: dict[str, dict[str, list[float]]]
 ) -> dict[str, ArmAgreement]:
     """Of all muscles that reach ``_HAS_ARM_M``, by angle."""
     compared = {}
@@ -151,7 +151,7 @@ def _arms(
         joint = found.skeleton.joints[j]
         angle = joint.angles[k]
         ours = muscles.arms[frames, row]
-        theirs = angle.sign * np.array([told[name][coordinate(found, j, k)] for name in muscles.names]).T
+        theirs = angle.sign * np.array([columns[name][coordinate(found, j, k)] for name in muscles.names]).T
         has = np.abs(np.stack([ours, theirs])).max(axis=(0, 1)) > _HAS_ARM_M
         wrong = 1e3 * np.sqrt(np.mean((ours - theirs) ** 2, axis=0))
         worst = int(np.argmax(wrong))

@@ -23,8 +23,8 @@ def timing_rows(trial: AnalysedTrial, begin_s: float, end_s: float) -> list[list
         [f"{trial.files.name}, ours", *_axes(trial, trial.measured.dynamics.centre_of_mass, begin_s, end_s)]
     ]
     if _IN_FILE in trial.trial.labels:
-        told = trial.trial.columns((_IN_FILE,))[:, 0]
-        rows.append([f"{trial.files.name}, the file's", *_axes(trial, told, begin_s, end_s)])
+        in_file = trial.trial.columns((_IN_FILE,))[:, 0]
+        rows.append([f"{trial.files.name}, the file's", *_axes(trial, in_file, begin_s, end_s)])
     return rows
 
 

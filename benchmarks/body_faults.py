@@ -171,5 +171,5 @@ def _place_step(run: Run, end_s: float) -> float:
 
 
 def _measured_again_s(run: Run, end_s: float) -> float:
-    told = (run.status == Status.UNAIDED).any(axis=1) & (run.times_s >= end_s)
-    return float(run.times_s[told][-1] - end_s) if told.any() else 0.0
+    is_unaided = (run.status == Status.UNAIDED).any(axis=1) & (run.times_s >= end_s)
+    return float(run.times_s[is_unaided][-1] - end_s) if is_unaided.any() else 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -200,11 +200,11 @@ def by_maker(
         if stamped_in_us is None:
             times = ArrivalCounter((RATE_HZ,), None if counter_bits is None else RATE_HZ, counter_bits)
             lost = (np.diff(module.counter, prepend=module.counter[0] - 1) - 1).tolist()
-            told = [
+            stamped = [
                 times.stamp(at, None if counter_bits is None else count, n if sees_losses else 0)
                 for at, count, n in zip(arrivals, counts, lost, strict=True)
             ]
-            stamps = [0 if each is None else each[1] for each in told]
+            stamps = [0 if each is None else each[1] for each in stamped]
         else:
             # at rates that steps do not divide, instants are after their stamps by anything up to a step
             whole = module.counter * module.interval_us - rng.uniform(0.0, stamped_in_us, len(arrivals))
@@ -251,28 +251,25 @@ def by_table(slot_us: float) -> tuple[Errors, float]:
     measured = traffic(crystals, slot_us, TABLE_RATE_HZ)
     batching = find_slot(measured)
     calibration = ClockCalibration(tuple(range(MODULES)), minutes=58)
-    packets = np.concatenate([m.arrived_ns for m in measured])
-    ids = np.repeat(np.arange(MODULES), [len(m.arrived_ns) for m in measured])
-    stamps = np.concatenate([m.stamps_us for m in measured])
-    order = np.argsort(packets, kind="stable")
-    for module, stamp, at in zip(
-        ids[order].tolist(), stamps[order].tolist(), packets[order].tolist(), strict=True
-    ):
+    for module, stamp, at in _by_arrival(measured):
         calibration.observe(module, stamp, at, batching)
     clocks = TableClocks(calibration.table())
     used = traffic(crystals, slot_us, TABLE_RATE_HZ, seed=SEED + 1)
     begin = [clocks.clock(module, batching) for module in range(MODULES)]
     published: list[list[int]] = [[] for _ in used]
-    streams = np.concatenate([m.arrived_ns for m in used])
-    ids = np.repeat(np.arange(MODULES), [len(m.arrived_ns) for m in used])
-    stamps = np.concatenate([m.stamps_us for m in used])
-    order = np.argsort(streams, kind="stable")
-    for module, stamp, at in zip(
-        ids[order].tolist(), stamps[order].tolist(), streams[order].tolist(), strict=True
-    ):
+    for module, stamp, at in _by_arrival(used):
         published[module].append(begin[module].gateway_time(stamp, at))
     errors = [errors_of(module, instants) for module, instants in zip(used, published, strict=True)]
     return Errors(np.array(errors)), float(len(clocks.table.alpha[clocks.table.reference]))
+
+
+def _by_arrival(modules: Sequence[ModuleTraffic]) -> Iterator[tuple[int, int, int]]:
+    """Yield number, stamp in µs and arrival in ns of all packets, in the order of their arrival."""
+    arrivals = np.concatenate([module.arrived_ns for module in modules])
+    numbers = np.repeat(np.arange(len(modules)), [len(module.arrived_ns) for module in modules])
+    stamps = np.concatenate([module.stamps_us for module in modules])
+    order = np.argsort(arrivals, kind="stable")
+    yield from zip(numbers[order].tolist(), stamps[order].tolist(), arrivals[order].tolist(), strict=True)
 
 
 def by_trigger() -> tuple[Errors, TriggerTimer, TriggerAnswers]:
@@ -321,68 +318,87 @@ def packet_cost_us() -> float:
     return float(best)
 
 
+@dataclass(frozen=True)
+class ByMode:
+    """Errors in each mode of the clock, of emulated suits."""
+
+    uncompensated: Errors
+    table: Errors
+    table_minutes: float
+    arrival_1ms: Errors
+    arrival_16ms: Errors
+    exchanged: Errors
+    exchange_bound_us: float
+    unstamped: Errors
+    ping_bound_us: float
+    relayed: Errors
+    triggered: Errors
+
+    def figures(self) -> Iterator[Figure]:
+        """Yield the figures that are kept."""
+        yield _p99("sync_p99_us", self.exchanged, "two-way exchanges at 4 Hz, 1 ms batching", "<=50")
+        yield _p99("arrival_1ms_p99_us", self.arrival_1ms, "arrival times alone, 1 ms batching", "<=300")
+        yield _p99("arrival_16ms_p99_us", self.arrival_16ms, "arrival times alone, 16 ms batching")
+        yield _p99(
+            "unstamped_p99_us",
+            self.unstamped,
+            "no stamps (SlimeVR): line of the earliest arrivals, pings at 2 Hz, 1 ms batching",
+        )
+        what = "bound published with it, mean of the modules"
+        yield Figure("unstamped_bound_us", self.ping_bound_us, "µs", "", what)
+        yield _p99("relay_p99_us", self.relayed, "relay unit, ticks of 10 ms, exchanges at 4 Hz")
+        yield _p99("trigger_p99_us", self.triggered, "unified control, broadcast trigger")
+        yield _p99(
+            "table_p99_us", self.table, f"table of {self.table_minutes:.0f} minutes, other temperatures"
+        )
+        what = "bound published with the exchanges, mean of the modules"
+        yield Figure("sync_bound_us", self.exchange_bound_us, "µs", "", what)
+
+    def rows(self, of_makers: Sequence[list[str]]) -> list[list[str]]:
+        """Return the table of errors. of_makers: rows of the clocks of other makers' modules."""
+        limit_1ms, limit_16ms = (transport_limit_us(slot, 1e6 / RATE_HZ, 60.0) for slot in (1000.0, 16_000.0))
+        return [
+            self.uncompensated.row("none: rate as stamped"),
+            self.table.row("1, table"),
+            self.arrival_16ms.row("arrival times, 16 ms batching", limit_16ms),
+            self.arrival_1ms.row("arrival times, 1 ms batching", limit_1ms),
+            self.exchanged.row("two-way exchanges, 1 ms batching"),
+            self.unstamped.row("no stamps: line of arrivals and pings, 1 ms batching"),
+            *of_makers,
+            self.relayed.row("two-way exchanges, relay unit with ticks of 10 ms"),
+            self.triggered.row("2, unified control"),
+        ]
+
+
+def _p99(name: str, errors: Errors, what: str, limit: str = "") -> Figure:
+    return Figure(name, errors.p99_us(), "µs", limit, what)
+
+
 def run() -> Report:
     """All modes, and recordings."""
     cost_us = packet_cost_us()
-    arrival_1ms, arrival_16ms = by_arrival(1000.0), by_arrival(16_000.0)
-    (exchanged, bound_us), (by_the_table, minutes) = by_exchange(1000.0), by_table(1000.0)
     triggered, timer, answers = by_trigger()
-    unstamped, ping_bound_us = by_pings(1000.0)
+    by_mode = ByMode(
+        uncompensated(1000.0),
+        *by_table(1000.0),
+        by_arrival(1000.0),
+        by_arrival(16_000.0),
+        *by_exchange(1000.0),
+        *by_pings(1000.0),
+        by_relay(),
+        triggered,
+    )
     of_makers, rows_of_makers = makers_clocks()
-    relayed = by_relay()
-    limit_1ms, limit_16ms = (transport_limit_us(slot, 1e6 / RATE_HZ, 60.0) for slot in (1000.0, 16_000.0))
     recorded, recorded_table = recorded_clocks()
     recovered, recovery_table = recoveries()
     in_degrees, degrees_table = clocks_in_degrees()
     report = Report("clock")
-    report.figures = [
-        Figure("sync_p99_us", exchanged.p99_us(), "µs", "<=50", "two-way exchanges at 4 Hz, 1 ms batching"),
-        Figure(
-            "arrival_1ms_p99_us", arrival_1ms.p99_us(), "µs", "<=300", "arrival times alone, 1 ms batching"
-        ),
-        Figure("arrival_16ms_p99_us", arrival_16ms.p99_us(), "µs", "", "arrival times alone, 16 ms batching"),
-        Figure(
-            "unstamped_p99_us",
-            unstamped.p99_us(),
-            "µs",
-            "",
-            "no stamps (SlimeVR): line of the earliest arrivals, pings at 2 Hz, 1 ms batching",
-        ),
-        Figure("unstamped_bound_us", ping_bound_us, "µs", "", "bound published with it, mean of the modules"),
-        *of_makers,
-        Figure("relay_p99_us", relayed.p99_us(), "µs", "", "relay unit, ticks of 10 ms, exchanges at 4 Hz"),
-        Figure("trigger_p99_us", triggered.p99_us(), "µs", "", "unified control, broadcast trigger"),
-        Figure(
-            "table_p99_us",
-            by_the_table.p99_us(),
-            "µs",
-            "",
-            f"table of {minutes:.0f} minutes, other temperatures",
-        ),
-        Figure(
-            "sync_bound_us", bound_us, "µs", "", "bound published with the exchanges, mean of the modules"
-        ),
-        Figure(
-            "clock_packet_us", cost_us, "µs", "<=2", "processor time of the estimate, one packet on average"
-        ),
-        *recorded,
-        *recovered,
-        *in_degrees,
-    ]
+    what = "processor time of the estimate, one packet on average"
+    cost = Figure("clock_packet_us", cost_us, "µs", "<=2", what)
+    report.figures = [*by_mode.figures(), *of_makers, cost, *recorded, *recovered, *in_degrees]
     heads = ["mode", "p50 µs", "p99 µs", "max µs", "limit p99 µs", "±60° swing at 2 Hz: RMSE °"]
-    rows = [
-        uncompensated(1000.0).row("none: rate as stamped"),
-        by_the_table.row("1, table"),
-        arrival_16ms.row("arrival times, 16 ms batching", limit_16ms),
-        arrival_1ms.row("arrival times, 1 ms batching", limit_1ms),
-        exchanged.row("two-way exchanges, 1 ms batching"),
-        unstamped.row("no stamps: line of arrivals and pings, 1 ms batching"),
-        *rows_of_makers,
-        relayed.row("two-way exchanges, relay unit with ticks of 10 ms"),
-        triggered.row("2, unified control"),
-    ]
     report.tables = [
-        _explained(timer, answers) + table(heads, rows),
+        _explained(timer, answers) + table(heads, by_mode.rows(rows_of_makers)),
         degrees_table,
         recovery_table,
         recorded_table,

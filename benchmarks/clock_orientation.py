@@ -99,7 +99,7 @@ async def capture(
     steps_between = round(EXCHANGE_INTERVAL_S / STEP_S)
     for n in range(round(SECONDS / STEP_S)):
         if asks and n % steps_between == 0:
-            await synchroniser.ask_all()
+            await synchroniser.request_all()
         for chunk in link.step():
             frames += pipeline.feed(chunk)
     return frames

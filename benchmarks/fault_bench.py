@@ -240,8 +240,8 @@ class Bench:
         """With the losses since ``begin``."""
         lost = self._lost()
         lost.subtract(self._lost_before)
-        told = {what: count for what, count in lost.items() if count}
-        return Outcome(name, recovery_s, limit_s, told, self.left_over)
+        nonzero = {what: count for what, count in lost.items() if count}
+        return Outcome(name, recovery_s, limit_s, nonzero, self.left_over)
 
     def _lost(self) -> Counter[str]:
         lost: Counter[str] = Counter()

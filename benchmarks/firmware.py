@@ -50,8 +50,8 @@ _SETTLED_S = 4.0
 def sections(program: Path) -> dict[str, int]:
     """Return bytes of text (with constants), data and bss of a program."""
     command = [PROGRAMS[program.name], str(program)]
-    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    names, numbers = (line.split() for line in told.splitlines()[:2])
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    names, numbers = (line.split() for line in output.splitlines()[:2])
     return {name: int(number) for name, number in zip(names[:3], numbers[:3], strict=True)}
 
 
@@ -74,7 +74,7 @@ async def reported_by_module(program: Path, memory: FirmwareMemory) -> dict[str,
             await bench.find()
             await asyncio.sleep(_SETTLED_S)
             since = bench.mark()
-            await bench.ask(Verb.GET_INFO)
+            await bench.request(Verb.GET_INFO)
             await bench.until(lambda: len(bench.of(LogLine, since)) >= 2)
             lines = [each.packet.text.rsplit(": ", 1) for each in bench.of(LogLine, since)]
     finally:
@@ -99,14 +99,14 @@ def run_rows() -> list[str]:
     """Return what was measured while the Cortex-M3 runs: deepest stack, and how long it is awake."""
     with tempfile.TemporaryDirectory() as folder:
         memory = FirmwareMemory.fresh(Path(folder) / "memory", bytes(range(12)), settings={"module_id": 1})
-        told = asyncio.run(reported_by_module(PROGRAM, memory))
-    awake_us = told["awake, us of the last second"]
+        reported = asyncio.run(reported_by_module(PROGRAM, memory))
+    awake_us = reported["awake, us of the last second"]
     per_us = 1000 / 2**_SHIFT
     per_sample = awake_us * per_us / _RATE_HZ
     return [
         f"| measured on `{PROGRAM.name}`, {_RATE_HZ:.0f} Hz | |",
         "|---|---|",
-        f"| deepest stack until now | {told['stack, most bytes in use']} bytes |",
+        f"| deepest stack until now | {reported['stack, most bytes in use']} bytes |",
         f"| processor awake | {awake_us / 1e4:.2f} % of {per_us:.0f} million instructions a second |",
         f"| a sample, with its packet and all else | {per_sample:.0f} instructions |",
     ]

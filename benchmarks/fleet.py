@@ -11,7 +11,7 @@ import statistics
 import tempfile
 import threading
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -41,7 +41,7 @@ _DAY_S = 8 * 3600
 
 
 @dataclass
-class Heard:
+class ReceivedPoses:
     """Every pose that came, by gateway: live ones as the overview counts them."""
 
     fleet: Fleet
@@ -121,10 +121,10 @@ def _held_rate(report: Report) -> tuple[float, _Load]:
             tempfile.TemporaryDirectory() as folder,
             DemoFleet(Path(folder), Wanted(GATEWAYS, rate_hz)) as fleet,
         ):
-            heard = Heard(Fleet())
-            reached, delay_ms, spent = asyncio.run(_steady(fleet, heard))
+            received = ReceivedPoses(Fleet())
+            reached, delay_ms, spent = asyncio.run(_steady(fleet, received))
         is_held = reached >= HELD * rate_hz
-        missing, _ = heard.missing()
+        missing, _ = received.missing()
         per_pose = _Load(spent.broker_s, spent.gateway_s, spent.memory_mb)
         if is_held or rate_hz == RATES_HZ[0]:
             best, load = float(rate_hz), per_pose
@@ -150,26 +150,26 @@ def _held_rate(report: Report) -> tuple[float, _Load]:
     return best, load
 
 
-async def _steady(fleet: DemoFleet, heard: Heard) -> tuple[float, float, _Load]:
+async def _steady(fleet: DemoFleet, received: ReceivedPoses) -> tuple[float, float, _Load]:
     """Return the median rate, the median delay (ms) and what a pose cost."""
-    async with _listening(fleet, heard):
-        await _until_all_are_heard(heard)
-        before, counted = _spent(fleet), {name: len(numbers) for name, numbers in heard.live.items()}
+    async with _listening(fleet, received):
+        await _until_all_publish(received)
+        before, counted = _spent(fleet), {name: len(numbers) for name, numbers in received.live.items()}
         begun = time.monotonic()
         await asyncio.sleep(STEADY_S)
         elapsed, after = time.monotonic() - begun, _spent(fleet)
-        counts = [len(heard.live.get(name, ())) - counted.get(name, 0) for name in fleet.names]
-        delays = [row.delay_ms for row in heard.fleet.rows(time.monotonic()) if row.delay_ms is not None]
+        counts = [len(received.live.get(name, ())) - counted.get(name, 0) for name in fleet.names]
+        delays = [row.delay_ms for row in received.fleet.rows(time.monotonic()) if row.delay_ms is not None]
         poses = max(sum(counts), 1)
         memory = max(psutil.Process(node.pid).memory_info().rss for node in fleet.cluster.nodes) / 1e6
         load = _Load((after[0] - before[0]) / poses, (after[1] - before[1]) / poses, memory)
         return statistics.median(counts) / elapsed, statistics.median(delays or [0.0]), load
 
 
-async def _until_all_are_heard(heard: Heard) -> None:
+async def _until_all_publish(received: ReceivedPoses) -> None:
     """Raises ``TimeoutError``."""
     async with asyncio.timeout(_LONGEST_START_S):
-        while len(heard.live) < GATEWAYS:
+        while len(received.live) < GATEWAYS:
             await asyncio.sleep(0.2)
     await asyncio.sleep(SETTLE_S)
 
@@ -185,15 +185,15 @@ def _processor_s(pids: list[int]) -> float:
 
 
 @contextlib.asynccontextmanager
-async def _listening(fleet: DemoFleet, heard: Heard) -> AsyncIterator[None]:
+async def _listening(fleet: DemoFleet, received: ReceivedPoses) -> AsyncIterator[None]:
     """Have a reader hear all, for as long as the block lasts."""
-    receiver = listener(fleet.settings(READER, 1), heard.take)
+    receiver = listener(fleet.settings(READER, 1), received.take)
     task = asyncio.create_task(receiver.run())
     await receiver.subscribed.wait()
     try:
         yield
     finally:
-        heard.overflowed += receiver.dropped
+        received.overflowed += receiver.dropped
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
 
@@ -203,11 +203,8 @@ def _failures(report: Report, rate_hz: float) -> None:
     load = os.getloadavg()[0]
     wanted = Wanted(GATEWAYS, rate_hz, is_cuttable=True)
     with tempfile.TemporaryDirectory() as folder, DemoFleet(Path(folder), wanted) as fleet:
-        worst, heard, unheard, right = asyncio.run(_broken(fleet, rows))
-        died = asyncio.run(_a_process_dies(fleet))
-    live, _ = heard.missing()
-    overtaken = sum(seen.repeated for seen in heard.fleet.gateways.values())
-    both = sum(len(numbers & heard.late.get(name, set())) for name, numbers in heard.live.items())
+        worst, received, unreceived, right = asyncio.run(_broken(fleet, rows))
+        died = asyncio.run(_kill_a_worker(fleet))
     heads = [
         "what happened",
         "longest gap of a gateway, s",
@@ -221,8 +218,17 @@ def _failures(report: Report, rate_hz: float) -> None:
         "readers reach it still), slow. A reader whose own node dies misses what was on its way to it: it "
         "comes by QoS 0, and its gateways know nothing of it.\n\n" + table(heads, rows)
     )
-    total = sum(len(numbers) for numbers in heard.live.values())
     report.figures += [
+        *_gap_figures(worst),
+        *_pose_figures(received, unreceived),
+        Figure("fleet_retained_wrong", float(right), "topics", "<=0", "state and body, each node asked"),
+        Figure("fleet_wills_missing", float(died), "topics", "<=0", "gateways killed, not offline on a node"),
+    ]
+
+
+def _gap_figures(worst: Mapping[str, float]) -> list[Figure]:
+    """Return the longest gap of any gateway after each failure."""
+    return [
         Figure("fleet_recover_kill", worst["killed"], "s", "<=2", "longest gap of any gateway, node killed"),
         Figure(
             "fleet_recover_reader", worst["the reader's own killed"], "s", "<=2", "the reader's node killed"
@@ -239,17 +245,31 @@ def _failures(report: Report, rate_hz: float) -> None:
             "",
             "the reader's node cut off: it must subscribe at another one, while the cluster chooses a leader",
         ),
+    ]
+
+
+def _pose_figures(received: ReceivedPoses, unreceived: int) -> list[Figure]:
+    """Return what became of the poses, over all failures. unreceived: neither live nor late."""
+    live, _ = received.missing()
+    total = sum(len(numbers) for numbers in received.live.values())
+    overtaken = sum(seen.repeated for seen in received.fleet.gateways.values())
+    both = sum(len(numbers & received.late.get(name, set())) for name, numbers in received.live.items())
+    return [
         Figure("fleet_missing_live", float(live), "poses", "", f"of {total}, all failures together"),
         Figure(
             "fleet_missing_for_ever",
-            float(unheard),
+            float(unreceived),
             "poses",
             "<=0",
             "neither live nor late",
         ),
-        Figure("fleet_counted_twice", float(heard.repeated), "poses", "<=0", "live poses of one number"),
+        Figure("fleet_counted_twice", float(received.repeated), "poses", "<=0", "live poses of one number"),
         Figure(
-            "fleet_reader_overflowed", float(heard.overflowed), "messages", "<=0", "too fast for the reader"
+            "fleet_reader_overflowed",
+            float(received.overflowed),
+            "messages",
+            "<=0",
+            "too fast for the reader",
         ),
         Figure(
             "fleet_overtaken",
@@ -261,23 +281,23 @@ def _failures(report: Report, rate_hz: float) -> None:
         Figure(
             "fleet_live_and_late", float(both), "poses", "", "late ones whose number came live: told by seq"
         ),
-        Figure("fleet_retained_wrong", float(right), "topics", "<=0", "state and body, each node asked"),
-        Figure("fleet_wills_missing", float(died), "topics", "<=0", "gateways killed, not offline on a node"),
     ]
 
 
-async def _broken(fleet: DemoFleet, rows: list[list[str]]) -> tuple[dict[str, float], Heard, int, int]:
-    heard, worst = Heard(Fleet()), dict[str, float]()
+async def _broken(
+    fleet: DemoFleet, rows: list[list[str]]
+) -> tuple[dict[str, float], ReceivedPoses, int, int]:
+    received, worst = ReceivedPoses(Fleet()), dict[str, float]()
     first, readers, last = fleet.cluster.nodes
 
     async def act_and_count(what: str, act: Callable[[], None], seconds: float) -> None:
-        before = heard.missing()
+        before = received.missing()
         since = time.monotonic()
         act()
         await asyncio.sleep(seconds)
-        gaps = heard.longest_gaps(since)
+        gaps = received.longest_gaps(since)
         worst[what.split(",", maxsplit=1)[0]] = max(gaps)
-        after = heard.missing()
+        after = received.missing()
         rows.append(
             [
                 what,
@@ -288,8 +308,8 @@ async def _broken(fleet: DemoFleet, rows: list[list[str]]) -> tuple[dict[str, fl
             ]
         )
 
-    async with _listening(fleet, heard):
-        await _until_all_are_heard(heard)
+    async with _listening(fleet, received):
+        await _until_all_publish(received)
         await act_and_count("nothing, for comparison", lambda: None, STEADY_S)
         # First of all: gateways leave a node that dies, and one without gateways is not missed.
         assert fleet.cluster.routes is not None
@@ -306,7 +326,7 @@ async def _broken(fleet: DemoFleet, rows: list[list[str]]) -> tuple[dict[str, fl
         )
         await act_and_count("thawed", lambda: os.kill(last.pid, signal.SIGCONT), AWAY_S)
         await act_and_count("nothing, for what is late", lambda: None, AWAY_S)
-        _, unheard = heard.missing()
+        _, unreceived = received.missing()
         await act_and_count("the reader's own killed", readers.kill, AWAY_S)
         await act_and_count("the reader's own brought back", readers.start, AWAY_S)
         there = fleet.cluster.nodes.index(readers)
@@ -317,7 +337,7 @@ async def _broken(fleet: DemoFleet, rows: list[list[str]]) -> tuple[dict[str, fl
         kept = await _retained(fleet, first)
         wrong += sum(kept.get(f"{name}/{topics.BRIDGE_STATE}") != "online" for name in fleet.names)
         wrong += sum(f"{name}/{topics.BODY}" not in kept for name in fleet.names)
-    return worst, heard, unheard, wrong
+    return worst, received, unreceived, wrong
 
 
 def _slow(node: Node, seconds: float) -> None:
@@ -337,12 +357,12 @@ async def _retained(fleet: DemoFleet, first: int) -> dict[str, str]:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(4):
                 async for message in client.messages:
-                    told = orjson.loads(message.payload)
-                    kept[message.topic.value.partition("/")[2]] = str(told.get("state"))
+                    content = orjson.loads(message.payload)
+                    kept[message.topic.value.partition("/")[2]] = str(content.get("state"))
     return kept
 
 
-async def _a_process_dies(fleet: DemoFleet) -> int:
+async def _kill_a_worker(fleet: DemoFleet) -> int:
     """Kill the gateways of one process; return how many of them a node does not tell as offline."""
     fleet.processes[0].kill()
     await asyncio.sleep(10)

@@ -291,8 +291,8 @@ def outcome(paths: Sequence[Path]) -> tuple[str, str]:
     except (FormatError, GatewayError) as error:
         return "refused", _without_folder(str(error), paths[0].parent)
     notes = [note for trial in trials for note in trial.notes] + _left_out(fit)
-    said = f"{len(fit.markers.labels)} markers, rest {1e3 * fit.rmse:.1f} mm"
-    return said, _without_folder("; ".join(notes), paths[0].parent) or "–"
+    outcome = f"{len(fit.markers.labels)} markers, rest {1e3 * fit.rmse:.1f} mm"
+    return outcome, _without_folder("; ".join(notes), paths[0].parent) or "–"
 
 
 def _left_out(fit: Fit) -> list[str]:

@@ -187,18 +187,18 @@ def _frames(observed: FloatArray, rate_hz: float) -> list[MarkerFrame]:
 
 
 def _published(
-    marker_set: MarkerSet, training: list[MarkerTrial], told: Mapping[str, float], held: MarkerTrial
+    marker_set: MarkerSet, training: list[MarkerTrial], lengths: Mapping[str, float], held: MarkerTrial
 ) -> Solved:
     """Body and virtual markers from a stretch of the first half, then the held-out frames with them."""
-    measured = measurements(marker_set, training, told)
+    measured = measurements(marker_set, training, lengths)
     vertical = vertical_axis(marker_set, training[0])
     sightings = [sighted(marker_set, trial, vertical, measured) for trial in training]
     skeleton, markers = from_rules(marker_set, sightings, vertical)
     columns = [marker_set.labels.index(label) for label in markers.labels]
-    learnt = sightings[1] if np.isfinite(sightings[1].places.axes).all(axis=(1, 2, 3)).any() else sightings[0]
-    good = np.flatnonzero(np.isfinite(learnt.places.axes).all(axis=(1, 2, 3)))[:PUBLISHED_FRAMES]
-    seen = learnt.markers[good][:, columns]
-    axes, root = learnt.places.axes[good], learnt.places.origins[good, 0]
+    fitted = sightings[1] if np.isfinite(sightings[1].places.axes).all(axis=(1, 2, 3)).any() else sightings[0]
+    good = np.flatnonzero(np.isfinite(fitted.places.axes).all(axis=(1, 2, 3)))[:PUBLISHED_FRAMES]
+    seen = fitted.markers[good][:, columns]
+    axes, root = fitted.places.axes[good], fitted.places.origins[good, 0]
     model = body_model(skeleton, markers)
     markers = replace(markers, positions=_first_frame_markers(model, seen[0], axes[0], root[0]))
     taught = solve_published(skeleton, markers, Trial(seen, held.rate_hz, axes, root))

@@ -56,11 +56,11 @@ class Agreement:
         marker_set: MarkerSet,
         training: list[MarkerTrial],
         held: MarkerTrial,
-        told: Mapping[str, float],
+        lengths: Mapping[str, float],
     ) -> None:
         """What the rules of the marker set say of every frame, without a body; and the file's own bones."""
         vertical = vertical_axis(marker_set, training[0])
-        places = sighted(marker_set, held, vertical, measurements(marker_set, training, told)).places
+        places = sighted(marker_set, held, vertical, measurements(marker_set, training, lengths)).places
         q_wb = np.array([[quaternion.from_matrix(R) for R in axes] for axes in places.axes])
         spread = []
         for joint in CENTRES:

@@ -58,12 +58,12 @@ class OpenSimBeside:
         if not self._rows:
             return f"{title}Skipped: {self._why or 'no trial is here'}."
         heads = ["trial", "markers mm, ours", "OpenSim", "ms a frame, ours", "OpenSim"]
-        told = (
+        note = (
             "\n\nMarkers: RMSE of all that were seen. Joints: RMSE of the angle between the two rotations "
             "against the parent segment, both sides. OpenSim turns knees and elbows about one axis only; the "
             "default method lets them turn otherwise too, where the markers say so."
         )
-        return title + table([*heads, *(f"{joint} °" for joint in JOINTS)], self._rows) + told
+        return title + table([*heads, *(f"{joint} °" for joint in JOINTS)], self._rows) + note
 
 
 def _apart(skeleton: Skeleton, ours: FloatArray, theirs: FloatArray) -> dict[str, float]:

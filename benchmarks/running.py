@@ -45,7 +45,7 @@ _UP = 0.95
 
 
 @dataclass
-class Heard:
+class Observed:
     """What the broker has of a gateway."""
 
     poses: list[tuple[float, float]] = field(default_factory=list)
@@ -76,7 +76,7 @@ class Running:
 
     gateway: asyncio.subprocess.Process
     begun_s: float
-    heard: Heard
+    observed: Observed
     port: int
     """Of the link, where it has one."""
     broker_port: int
@@ -84,7 +84,7 @@ class Running:
     async def steady(self) -> None:
         """Raises ``TimeoutError`` where poses do not come at their rate at last."""
         async with asyncio.timeout(START_S):
-            while not self.heard.is_steady():
+            while not self.observed.is_steady():
                 await asyncio.sleep(0.1)
 
 
@@ -108,12 +108,12 @@ async def running(
         )
         place = ["--link", str(pty)] if medium == "pty" else ["--port", str(port)]
         suit = await _process("emulate", "--rig", "suit_17", "--on", medium, *place)
-        heard = Heard()
-        listening = asyncio.create_task(_listen(broker.port, heard))
+        observed = Observed()
+        listening = asyncio.create_task(_listen(broker.port, observed))
         begun_s = time.monotonic()
         gateway = await _process("run", "-c", str(config), environment=environment, tree=tree)
         try:
-            yield Running(gateway, begun_s, heard, port, broker.port)
+            yield Running(gateway, begun_s, observed, port, broker.port)
         finally:
             listening.cancel()
             for process in (gateway, suit):
@@ -133,7 +133,7 @@ async def _process(
     )  # fmt: skip
 
 
-async def _listen(port: int, heard: Heard) -> None:
+async def _listen(port: int, observed: Observed) -> None:
     async with aiomqtt.Client("127.0.0.1", port) as client:
         for name in ("pose", "bridge/health", "bridge/info"):
             await client.subscribe(f"mocap/gateway1/{name}")
@@ -141,11 +141,11 @@ async def _listen(port: int, heard: Heard) -> None:
             now_s, content = time.monotonic(), orjson.loads(message.payload)  # type: ignore[arg-type]
             match str(message.topic).rpartition("/")[2]:
                 case "pose":
-                    heard.poses.append((now_s, (time.time_ns() - content["t_ns"]) * 1e-9))
+                    observed.poses.append((now_s, (time.time_ns() - content["t_ns"]) * 1e-9))
                 case "health":
-                    heard.health.append((now_s, content))
+                    observed.health.append((now_s, content))
                 case "info":
-                    heard.methods.append((now_s, content["reconstructor"]))
+                    observed.methods.append((now_s, content["reconstructor"]))
 
 
 def run() -> Report:
@@ -174,12 +174,12 @@ async def _first_poses(report: Report) -> None:
     with tempfile.TemporaryDirectory() as cache:
         for name in ("cold", "warm"):
             async with running("pty", {"NUMBA_CACHE_DIR": cache}) as it:
-                heard = it.heard
+                observed = it.observed
                 async with asyncio.timeout(START_S):
-                    while not heard.poses or all(method != METHOD for _, method in heard.methods):
+                    while not observed.poses or all(method != METHOD for _, method in observed.methods):
                         await asyncio.sleep(0.1)
-                first_s = heard.poses[0][0] - it.begun_s
-                method_s = next(at for at, method in heard.methods if method == METHOD) - it.begun_s
+                first_s = observed.poses[0][0] - it.begun_s
+                method_s = next(at for at, method in observed.methods if method == METHOD) - it.begun_s
             load = os.getloadavg()[0]
             what = f"from `run` to the first pose, {name} cache of kernels; load average {load:.1f}"
             report.figures.append(Figure(f"running_first_pose_{name}_s", first_s, "s", "", what))
@@ -196,27 +196,27 @@ async def _stopped(report: Report, medium: str) -> list[str]:
         it.gateway.send_signal(signal.SIGCONT)
         since_s = time.monotonic()
         await asyncio.sleep(WATCHED_S)
-        heard = it.heard
-    first_s = next(at for at, _ in heard.poses if at >= since_s) - since_s
-    back_s = full_rate_s(heard, since_s)
+        observed = it.observed
+    first_s = next(at for at, _ in observed.poses if at >= since_s) - since_s
+    back_s = full_rate_s(observed, since_s)
     report.figures.append(
         Figure(
             f"running_back_{medium}_s", back_s, "s", f"<={BACK_LIMIT_S:g}",
             f"stopped for {STOPPED_S:g} s, link {medium}: from catching up to the first second at full rate",
         )
     )  # fmt: skip
-    counts = [len(heard.between(since_s + k, since_s + k + 1)) for k in range(int(WATCHED_S))]
-    stages = ", ".join(map(str, dict.fromkeys(heard.stages(since_s))))
+    counts = [len(observed.between(since_s + k, since_s + k + 1)) for k in range(int(WATCHED_S))]
+    stages = ", ".join(map(str, dict.fromkeys(observed.stages(since_s))))
     return [medium, f"{first_s:.2f}", f"{back_s:.2f}", " ".join(map(str, counts)), stages]
 
 
-def full_rate_s(heard: Heard, since_s: float) -> float:
+def full_rate_s(observed: Observed, since_s: float) -> float:
     """Seconds from when what had waited was worked off, a pose is no older than a quarter of a second, until
     the beginning of the first second in which all poses come; infinite: never."""
-    caught_up_s = next((at for at, age_s in heard.poses if at >= since_s and age_s < 0.25), float("inf"))
-    at_s, end_s = caught_up_s, heard.poses[-1][0]
+    caught_up_s = next((at for at, age_s in observed.poses if at >= since_s and age_s < 0.25), float("inf"))
+    at_s, end_s = caught_up_s, observed.poses[-1][0]
     while at_s + 1.0 < end_s:
-        if len(heard.between(at_s, at_s + 1.0)) >= _UP * RATE_HZ:
+        if len(observed.between(at_s, at_s + 1.0)) >= _UP * RATE_HZ:
             return at_s - caught_up_s
         at_s += 0.05
     return float("inf")
@@ -244,25 +244,25 @@ async def _flooded(report: Report) -> None:
             sent = await asyncio.to_thread(sending.get)
         end_s = time.monotonic()
         await asyncio.sleep(CALM_AFTER_S)
-        heard = it.heard
+        observed = it.observed
     begin_s = end_s - FLOODED_S
-    calm, flooded = heard.between(before_s - STEADY_S, before_s), heard.between(begin_s, end_s)
+    calm, flooded = observed.between(before_s - STEADY_S, before_s), observed.between(begin_s, end_s)
     ages_ms = sorted(1e3 * age_s for _, age_s in flooded) or [float("inf")]
-    load = [health["statistics"]["load"] for at, health in heard.health if begin_s <= at < end_s + 1.0]
+    load = [health["statistics"]["load"] for at, health in observed.health if begin_s <= at < end_s + 1.0]
     before = f"poses meanwhile; before: {len(calm) / STEADY_S:.0f}"
     figures = [
         ("running_flood_sent_hz", sent / FLOODED_S, "1/s", "datagrams of 40 bytes, no wire frames"),
         ("running_flood_poses_hz", len(flooded) / FLOODED_S, "1/s", before),
-        ("running_flood_age_ms", ages_ms[len(ages_ms) // 2], "ms", "age of a pose when it was heard, median"),
+        ("running_flood_age_ms", ages_ms[len(ages_ms) // 2], "ms", "age of a pose when it came, median"),
         ("running_flood_age_p99_ms", ages_ms[int(0.99 * len(ages_ms))], "ms", "the same, 99 of 100"),
         ("running_flood_stage", max((each["stage"] for each in load), default=0), "-", "highest load stage"),
         ("running_flood_lag_ms", max((each["lag_ms"] for each in load), default=0), "ms", "greatest told"),
-        ("running_flood_back_s", full_rate_s(heard, end_s), "s", "from its end to full rate"),
+        ("running_flood_back_s", full_rate_s(observed, end_s), "s", "from its end to full rate"),
     ]  # fmt: skip
     report.figures += [Figure(name, float(value), unit, "", what) for name, value, unit, what in figures]
     seconds = range(int(FLOODED_S + CALM_AFTER_S))
-    counts = [str(len(heard.between(begin_s + k, begin_s + k + 1))) for k in seconds]
-    stages = [str(stage) for stage in heard.stages(begin_s)]
+    counts = [str(len(observed.between(begin_s + k, begin_s + k + 1))) for k in seconds]
+    stages = [str(stage) for stage in observed.stages(begin_s)]
     text = f"## Flooded with {FLOOD_HZ} datagrams a second for {FLOODED_S:g} s, then let alone; `{METHOD}`"
     rows = [["poses", " ".join(counts)], ["load stage", " ".join(stages)]]
     report.tables.append(f"{text}\n\n{table(['in each second', 'from its beginning on'], rows)}")

@@ -303,10 +303,17 @@ def page() -> Iterator[str]:
     default, all_tries = results[DEFAULT], tries()
     done = sum(one.name in results for one in all_tries)
     effects = {one.name: effect(default, results[one.name]) for one in all_tries if one.name in results}
+    yield from _preface(default, done, len(all_tries))
+    yield from _rules_table(effects)
+    yield from _constants_table(effects)
+
+
+def _preface(default: Outcome, done: int, n_tries: int) -> Iterator[str]:
+    """Yield what was tried on what, and what the columns mean."""
     yield "# What each number of the estimator is worth"
     yield ""
     yield (
-        f"By `python -m benchmarks.sensitivity --write`; {done} of {len(all_tries)} tries are known of the "
+        f"By `python -m benchmarks.sensitivity --write`; {done} of {n_tries} tries are known of the "
         f"code whose fingerprint is `{code()}`."
     )
     yield ""
@@ -324,6 +331,10 @@ def page() -> Iterator[str]:
     yield ""
     yield "Less is better in all columns."
     yield ""
+
+
+def _rules_table(effects: Mapping[str, Effect]) -> Iterator[str]:
+    """Yield the effect of each rule of thumb."""
     yield "## Rules of thumb, switched off"
     yield ""
     yield "| rule | equations | total | tilt | objective | worst | where |"
@@ -332,6 +343,10 @@ def page() -> Iterator[str]:
         if (one := effects.get(f"without {name}")) is not None:
             yield f"| {rule.what} | {rule.equations} | {_cells(one)} | {one.where} |"
     yield ""
+
+
+def _constants_table(effects: Mapping[str, Effect]) -> Iterator[str]:
+    """Yield the effect of each constant, halved and doubled, and those that move nothing."""
     yield "## Constants"
     yield ""
     yield (

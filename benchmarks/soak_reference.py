@@ -190,8 +190,8 @@ def follow(track: Path, plan: FaultPlan, start_ns: int) -> list[dict[str, float]
 def main(arguments: Sequence[str]) -> None:
     """TRACK: the file of poses; beside it TRACK.json with ``plan`` and ``start_ns``. Prints rows as JSON."""
     track = Path(arguments[0])
-    told = json.loads(track.with_suffix(".json").read_text())
-    print(json.dumps(follow(track, FaultPlan.model_validate(told["plan"]), told["start_ns"])))
+    recorded = json.loads(track.with_suffix(".json").read_text())
+    print(json.dumps(follow(track, FaultPlan.model_validate(recorded["plan"]), recorded["start_ns"])))
 
 
 if __name__ == "__main__":

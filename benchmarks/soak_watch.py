@@ -67,6 +67,6 @@ class SoakWatch:
         self._record["time_ns"] = -1
         self._file.write(self._record.tobytes())
         self._file.close()
-        told, _ = await asyncio.to_thread(self._comparing.communicate)
-        rows: list[dict[str, Any]] = json.loads(told)
+        output, _ = await asyncio.to_thread(self._comparing.communicate)
+        rows: list[dict[str, Any]] = json.loads(output)
         return rows

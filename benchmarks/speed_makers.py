@@ -9,7 +9,7 @@ from devices.emulators.delivery import Encoding
 from devices.emulators.motions import generic_motion
 from devices.emulators.sampling import FUSED, RAW
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
-from devices.emulators.voices import VOICES
+from devices.emulators.vendor_emulators import VENDOR_EMULATORS
 from devices.link import Chunk, SentChunk
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
@@ -21,7 +21,7 @@ from gateway.sources.registry import source_kind
 from gateway.sources.source import SourceContext
 
 _RIGS = {"mvn": "mvn_17", "mocopi": "mocopi_23"}
-MAKERS = {maker: _RIGS.get(maker, "single") for maker in VOICES}
+MAKERS = {maker: _RIGS.get(maker, "single") for maker in VENDOR_EMULATORS}
 """With the rig whose modules speak."""
 SECONDS = 30.0
 REPEATS = 5
@@ -34,7 +34,7 @@ _LINK, _SENDER = "module", "127.0.0.1:4210"
 def figures() -> list[Figure]:
     """Return the time of a sample by maker, every message in a chunk of its own; MVN and mocopi send those of
     a whole suit in one."""
-    chunks = {maker: _spoken(maker) for maker in MAKERS}
+    chunks = {maker: _chunks(maker) for maker in MAKERS}
     best = dict.fromkeys(MAKERS, float("inf"))
     for _ in range(REPEATS):
         for maker in MAKERS:
@@ -49,12 +49,12 @@ def _numbers(suit: WornSuit) -> list[int]:
 
 def _source(maker: str) -> MakersSource:
     suit, kind = load_rig(MAKERS[maker]), source_kind(maker)
-    module, voice = next(iter(VOICES[maker](_numbers(suit), 49.0).items()))
-    told = dict(voice.link_settings) if voice.shares_link else {"module": module}
-    if voice.speaks_as_one:
-        told = {"module": 0}
+    module, emulator = next(iter(VENDOR_EMULATORS[maker](_numbers(suit), 49.0).items()))
+    device = dict(emulator.link_settings) if emulator.shares_link else {"module": module}
+    if emulator.sends_as_one:
+        device = {"module": 0}
     link = kind.settings.model_validate(
-        {"name": _LINK, "url": "udp://0.0.0.0:7000", "carries": maker, **told}
+        {"name": _LINK, "url": "udp://0.0.0.0:7000", "carries": maker, **device}
     )
     source = kind.make(SourceContext(suit, ModuleTable(), links={_LINK: link}))
     assert isinstance(source, MakersSource)
@@ -62,13 +62,15 @@ def _source(maker: str) -> MakersSource:
     return source
 
 
-def _spoken(maker: str) -> list[Chunk]:
+def _chunks(maker: str) -> list[Chunk]:
     """What a module sends that is answered as by a gateway."""
     suit, source = load_rig(MAKERS[maker]), _source(maker)
-    voices = VOICES[maker](_numbers(suit), 49.0)
-    first = next(iter(voices.values()))
+    emulators = VENDOR_EMULATORS[maker](_numbers(suit), 49.0)
+    first = next(iter(emulators.values()))
     settings = SuitSettings(
-        voice=voices.__getitem__, encoding=Encoding(first.framing), mode=FUSED if first.is_fused else RAW
+        emulator=emulators.__getitem__,
+        encoding=Encoding(first.framing),
+        mode=FUSED if first.is_fused else RAW,
     )
     traffic = SuitTraffic(generic_motion(dress(suit), 1), settings)
     chunks: list[Chunk] = []

@@ -143,11 +143,11 @@ async def _first_poses(copy: Copy) -> list[Figure]:
     """From ``run`` to the first pose by the method, with the kernels of the installation and without any."""
     ready = [await _first_pose(copy, "kernels") for _ in range(TRIES)]
     without = [await _first_pose(copy, f"none{k}") for k in range(TRIES)]
-    told = "; ".join(f"{method_s:.1f} s" for _, method_s, _ in ready)
+    runs = "; ".join(f"{method_s:.1f} s" for _, method_s, _ in ready)
     figures = [
         Figure(
             "first_pose_cold_s", min(method_s for _, method_s, _ in ready), "s", "<=10",
-            f"from `run` to the first pose by `{METHOD}`, kernels ready; runs: {told}",
+            f"from `run` to the first pose by `{METHOD}`, kernels ready; runs: {runs}",
         ),
         Figure(
             "floor_first_message_s", min(floor_s for *_, floor_s in ready), "s", "",
@@ -158,23 +158,23 @@ async def _first_poses(copy: Copy) -> list[Figure]:
         ("first_pose_without_kernels_s", 0, "the first pose of any method, nothing compiled before"),
         ("method_without_kernels_s", 1, f"the first by `{METHOD}` then"),
     ):
-        told = "; ".join(f"{each[at]:.1f} s" for each in without)
-        figures.append(Figure(name, min(each[at] for each in without), "s", "", f"{what}; runs: {told}"))
+        runs = "; ".join(f"{each[at]:.1f} s" for each in without)
+        figures.append(Figure(name, min(each[at] for each in without), "s", "", f"{what}; runs: {runs}"))
     return figures
 
 
 async def _first_pose(copy: Copy, kernels: str) -> tuple[float, float, float]:
     """Seconds to the first pose, to the first by the method, and those of the floor."""
     async with running("pty", copy.environment(kernels), copy.folder) as it:
-        heard = it.heard
+        observed = it.observed
         async with asyncio.timeout(START_S):
-            while not any(method == METHOD for _, method in heard.methods):
+            while not any(method == METHOD for _, method in observed.methods):
                 await asyncio.sleep(0.02)
-            since_s = next(at for at, method in heard.methods if method == METHOD)
-            while not heard.poses or heard.poses[-1][0] < since_s:
+            since_s = next(at for at, method in observed.methods if method == METHOD)
+            while not observed.poses or observed.poses[-1][0] < since_s:
                 await asyncio.sleep(0.02)
-        first_s = heard.poses[0][0] - it.begun_s
-        method_s = next(at for at, _ in heard.poses if at >= since_s) - it.begun_s
+        first_s = observed.poses[0][0] - it.begun_s
+        method_s = next(at for at, _ in observed.poses if at >= since_s) - it.begun_s
         it.gateway.kill()
         await it.gateway.wait()
         floor_s = await asyncio.to_thread(copy.seconds, ["-c", FIRST_MESSAGE, str(it.broker_port)])

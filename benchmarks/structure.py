@@ -263,10 +263,10 @@ class Maker(NamedTuple):
     """Bytes to values and back."""
     source: int
     """Values to readings, settings of the link, commands, advice of the doctor."""
-    voice: int
+    emulator: int
     """The emulator."""
     registered: int
-    """In the lists of sources, of voices and of what campaigns damage."""
+    """In the lists of sources, of emulators and of what campaigns damage."""
     tests: int
     """Beside those that go through all makers."""
 
@@ -274,11 +274,19 @@ class Maker(NamedTuple):
 MAKERS_SHARE = (
     *("devices/vendor_protocols/plausibility.py", "devices/vendor_protocols/rotations.py"),
     *("gateway/sources/makers.py", "gateway/modules/makers.py", "gateway/cli/emulate_makers.py"),
-    *("devices/emulators/voice.py", "devices/emulators/voices.py", "devices/emulators/makers_campaign.py"),
+    *(
+        "devices/emulators/vendor_emulator.py",
+        "devices/emulators/vendor_emulators.py",
+        "devices/emulators/makers_campaign.py",
+    ),
 )
 """What all makers have in common."""
 _ONE_FILE = "tests/system/test_another_makers_module.py"
-_LISTS = "gateway/sources/registry.py", "devices/emulators/voices.py", "devices/emulators/makers_campaign.py"
+_LISTS = (
+    "gateway/sources/registry.py",
+    "devices/emulators/vendor_emulators.py",
+    "devices/emulators/makers_campaign.py",
+)
 
 
 def makers() -> list[Maker]:
@@ -287,8 +295,8 @@ def makers() -> list[Maker]:
     for carries, kind in SOURCES.items():
         if issubclass(kind.settings, OthersLinkSettings):
             found[kind.settings.__module__.rpartition(".")[2]].append(carries)
-    told = [_maker(name, words) for name, words in found.items()]
-    return sorted(told, key=lambda each: -(each.protocol + each.source + each.voice))
+    counted = [_maker(name, words) for name, words in found.items()]
+    return sorted(counted, key=lambda each: -(each.protocol + each.source + each.emulator))
 
 
 def _maker(name: str, words: Sequence[str]) -> Maker:
@@ -302,7 +310,7 @@ def _maker(name: str, words: Sequence[str]) -> Maker:
         ", ".join(words),
         _count(protocols.glob(f"{name}*.py")),
         _count(sources),
-        _count((REPOSITORY / "devices" / "emulators").glob(f"{name}_voice.py")),
+        _count((REPOSITORY / "devices" / "emulators").glob(f"{name}_emulator.py")),
         listed,
         _count(tests),
     )

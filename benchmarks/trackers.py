@@ -79,7 +79,7 @@ class Motion:
 
 def run() -> Report:
     """Drift of headings by motion and minute."""
-    report, rows, believed = Report("trackers", also="guide/slimevr.md"), [], []
+    report, rows, judged = Report("trackers", also="guide/slimevr.md"), [], []
     for motion in motions():
         found = measure(motion, max(MINUTES))
         for minute in MINUTES:
@@ -95,7 +95,7 @@ def run() -> Report:
             Figure(f"{key}_joint_by_accelerations_deg", agreed.rms, "°", "<=5", f"{what}, see below"),
             Figure(f"{key}_reference_deg", reference, "°", "", "the reference, likewise"),
         ]
-        believed.append([motion.name, *_cells(found.reference)[:2], *_cells(agreed)[:2]])
+        judged.append([motion.name, *_cells(found.reference)[:2], *_cells(agreed)[:2]])
     heads = ["motion", "minutes"]
     for what in ("trackers' own", "joint"):
         heads += [f"{what}: between segments, RMS", "worst segment", "whole body"]
@@ -108,7 +108,7 @@ def run() -> Report:
     report.tables.append(
         "How far the reference can be believed: headings between segments against those in which the two "
         "modules at each joint agree on the acceleration of its centre, degrees; all of the motion, by least "
-        "squares, without a filter or a field, and with free lever arms.\n\n" + table(heads, believed)
+        "squares, without a filter or a field, and with free lever arms.\n\n" + table(heads, judged)
     )
     return report
 

@@ -78,8 +78,8 @@ def _by_pose2sim(
         except OSError as error:
             raise GatewayError(f"{VARIABLE}={python}: not a Python interpreter ({error.strerror})") from error
         if done.returncode:
-            said = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            raise GatewayError(f"{VARIABLE}={python}: {said}")
+            outcome = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            raise GatewayError(f"{VARIABLE}={python}: {outcome}")
         return np.asarray(np.load(found), dtype=np.float64)
 
 

@@ -84,7 +84,7 @@ def run() -> Report:
     per_second = {
         name: _CORES * 1e3 / (len(cameras) * (rest + ms) + solve_ms) for name, ms in networks.items()
     }
-    _tell(report, stages, networks, per_second, solve_ms)
+    _add_tables(report, stages, networks, per_second, solve_ms)
     tasks = [CameraTask(camera.name, place, "full") for camera, place in zip(cameras, places, strict=True)]
     report.figures += _rates("one_person", _by_the_clock(cameras, tasks, 1), ">=15", "")
     with tempfile.TemporaryDirectory() as folder:
@@ -111,7 +111,7 @@ def run() -> Report:
     return report
 
 
-def _tell(
+def _add_tables(
     report: Report, stages: Stages, networks: dict[str, float], per_second: dict[str, float], solve_ms: float
 ) -> None:
     rows = [

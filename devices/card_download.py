@@ -35,7 +35,7 @@ class CardFile(NamedTuple):
 
 
 class Card:
-    """The memory card of one device, through its commands. Methods raise as ``CommandClient.ask``."""
+    """The memory card of one device, through its commands. Methods raise as ``CommandClient.request``."""
 
     def __init__(self, client: CommandClient, unique_id: bytes) -> None:
         self._client = client
@@ -45,7 +45,7 @@ class Card:
         """Return all files, in the order in which the card lists them."""
         files: list[CardFile] = []
         while True:
-            total, entries = await self._client.ask(self._unique_id, Verb.CARD_LIST, len(files))
+            total, entries = await self._client.request(self._unique_id, Verb.CARD_LIST, len(files))
             listed = [CardFile(*entry) for entry in entries]
             files += listed
             if not listed or len(files) >= total:
@@ -70,10 +70,12 @@ class Card:
 
     async def erase(self, file: int = ALL_FILES) -> None:
         """Erase one file, or all. Raises ``WritesLockedError`` where that is not allowed."""
-        await self._client.ask(self._unique_id, Verb.CARD_ERASE, file)
+        await self._client.request(self._unique_id, Verb.CARD_ERASE, file)
 
     async def _piece(self, file: int, offset: int, length: int) -> bytes:
-        answered, start, data = await self._client.ask(self._unique_id, Verb.CARD_READ, file, offset, length)
+        answered, start, data = await self._client.request(
+            self._unique_id, Verb.CARD_READ, file, offset, length
+        )
         if (answered, start) != (file, offset) or len(data) > length:
             raise CardError(
                 f"the card was asked for byte {offset} of file {file} and gave byte {start} of file "

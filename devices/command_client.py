@@ -3,7 +3,7 @@
     client = CommandClient(links, allow_writes=False)
     for packet_class in LISTENS_TO:  # or: async with client.reading(): ...
         stream.listen(packet_class, client.take)
-    chosen, lowest, highest = await client.ask(unique_id, Verb.HELLO, 1, 1)
+    chosen, lowest, highest = await client.request(unique_id, Verb.HELLO, 1, 1)
 
 What changes a device is refused unless ``allow_writes``. Belongs to one event loop.
 """
@@ -85,18 +85,18 @@ class CommandClient:
         """Look at a packet and the chunk it came in; others than ``LISTENS_TO`` are let pass."""
         packet, link = received.packet, chunk.link
         if isinstance(packet, Acknowledgement):
-            self._heard(packet.unique_id, chunk)
+            self._note_route(packet.unique_id, chunk)
             if self.transactions.take(packet, received.module, link) is not None:
                 self._answered[packet.transaction].set()
         elif isinstance(packet, DeviceInfo):
-            self._heard(packet.unique_id, chunk)
+            self._note_route(packet.unique_id, chunk)
             self.infos[packet.unique_id] = (received.module, packet)
         elif isinstance(packet, Health):
             self.healths[received.module] = packet
 
-    def _heard(self, unique_id: bytes, chunk: Chunk) -> None:
-        """Note where a device was heard; beyond ``MOST_DEVICES`` the oldest is forgotten, as ids may be made
-        up.
+    def _note_route(self, unique_id: bytes, chunk: Chunk) -> None:
+        """Note by which link, and from which sender, a device is reached; beyond ``MOST_DEVICES`` the oldest
+        is forgotten, as ids may be made up.
         """
         self.link_of[unique_id], self.sender_of[unique_id] = chunk.link, chunk.sender
         if len(self.link_of) > MOST_DEVICES:
@@ -105,14 +105,14 @@ class CommandClient:
             self.sender_of.pop(oldest, None)
             self.infos.pop(oldest, None)
 
-    async def ask(self, unique_id: bytes, verb: Verb, *values: Any) -> tuple[Any, ...]:
+    async def request(self, unique_id: bytes, verb: Verb, *values: Any) -> tuple[Any, ...]:
         """Return what the device with this unique id answers: the payload's values.
 
         Raises ``WritesLockedError``, ``NoAnswerError``, ``CommandRefusedError``, ``LinkError`` when no link
         is up, and ``ValueError`` for values that do not fit the verb.
         """
         for _ in range(_BUSY_ATTEMPTS):
-            answer = await self._ask_once(unique_id, verb, values)
+            answer = await self._request_once(unique_id, verb, values)
             if answer.result is not Result.BUSY:
                 break
             # The device would repeat "busy" to the same transaction: ask anew.
@@ -127,7 +127,9 @@ class CommandClient:
             )
         return payload
 
-    async def ask_all(self, verb: Verb, *values: Any, known: Collection[bytes] = ()) -> dict[bytes, Answer]:
+    async def request_all(
+        self, verb: Verb, *values: Any, known: Collection[bytes] = ()
+    ) -> dict[bytes, Answer]:
         """Return the answers of all devices that can be heard, by unique id; no answer at all is no error.
 
         known: unique ids of the devices that were there a moment ago. Once they have answered nobody is asked
@@ -169,7 +171,7 @@ class CommandClient:
                 for received in self._decoders[link.name].feed(item):
                     self.take(received, item)
 
-    async def _ask_once(self, unique_id: bytes, verb: Verb, values: tuple[Any, ...]) -> Answer:
+    async def _request_once(self, unique_id: bytes, verb: Verb, values: tuple[Any, ...]) -> Answer:
         exchange = self._begin(unique_id, verb, values)
         unsent = await self._carry_out(exchange, unique_id)
         for answer in exchange.answers.values():

@@ -68,8 +68,8 @@ class Configurator:
         """
         # Both at once: each broadcast waits for the slowest device.
         hellos, infos = await asyncio.gather(
-            self.client.ask_all(Verb.HELLO, *SUPPORTED, known=self._present),
-            self.client.ask_all(Verb.GET_INFO, known=self._present),
+            self.client.request_all(Verb.HELLO, *SUPPORTED, known=self._present),
+            self.client.request_all(Verb.GET_INFO, known=self._present),
         )
         answers = {**infos, **hellos}
         self._present = frozenset(answers)
@@ -94,13 +94,13 @@ class Configurator:
         return self.roster
 
     async def identify(self, unique_id: bytes, seconds: int) -> None:
-        """Make a device blink; 0 stops it. Raises as ``CommandClient.ask``."""
-        await self.client.ask(unique_id, Verb.IDENTIFY, seconds)
+        """Make a device blink; 0 stops it. Raises as ``CommandClient.request``."""
+        await self.client.request(unique_id, Verb.IDENTIFY, seconds)
 
     async def read(self, unique_id: bytes, names: Iterable[str]) -> dict[str, Value]:
         """Return settings of a device by name.
 
-        Raises as ``CommandClient.ask``, ``ValueError`` for no such name.
+        Raises as ``CommandClient.request``, ``ValueError`` for no such name.
         """
         return {name: await self._read_one(unique_id, name) for name in names}
 
@@ -246,31 +246,31 @@ class Configurator:
         """Return what to raise: the failure itself where nothing was changed."""
         present: dict[bytes, int | None] = dict.fromkeys(wanted)
         try:
-            heard = (await self.discover()).ids
+            found = (await self.discover()).ids
         except LinkError as error:
             _log.debug("ids are not known: %s", error)
-            heard = {}
-        present |= {uid: module for uid, module in heard.items() if uid in wanted}
+            found = {}
+        present |= {uid: module for uid, module in found.items() if uid in wanted}
         if failure is not None and all(present[uid] == before[uid] for uid in wanted):
             return failure
         held = {uid: module for uid, module in present.items() if module is not None}
-        said = [_said(uid, module, wanted[uid]) for uid, module in present.items()]
-        said += [str(conflict) for conflict in conflicts(held)]
+        parts = [_place_of_id(uid, module, wanted[uid]) for uid, module in present.items()]
+        parts += [str(conflict) for conflict in conflicts(held)]
         reason = "" if failure is None else str(failure)
-        said += [reason] if reason else []
-        return UnfinishedError("; ".join(said) + "; ask for the same again, or undo", present, reason)
+        parts += [reason] if reason else []
+        return UnfinishedError("; ".join(parts) + "; ask for the same again, or undo", present, reason)
 
     async def _stage_and_commit(self, unique_id: bytes, encoded: Mapping[str, bytes]) -> Exception | None:
         """Write and commit; return an error that reading back will settle, or None.
 
         Raises if the device refuses.
         """
-        ask = self.client.ask
+        request = self.client.request
         try:
             for name, raw in encoded.items():
-                await ask(unique_id, Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
+                await request(unique_id, Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
             # Until here nothing has changed: the device replaces all settings at once, or none.
-            await ask(unique_id, Verb.COMMIT)
+            await request(unique_id, Verb.COMMIT)
         except (NoAnswerError, LinkError) as error:
             return error
         except CommandRefusedError as error:
@@ -282,7 +282,7 @@ class Configurator:
 
     async def _discard(self, unique_id: bytes) -> None:
         try:
-            await self.client.ask(unique_id, Verb.DISCARD)
+            await self.client.request(unique_id, Verb.DISCARD)
         except CommandRefusedError as error:
             if error.result is not Result.NOTHING_STAGED:
                 raise
@@ -291,7 +291,7 @@ class Configurator:
         key = setting_key(name)
         for _ in range(_ATTEMPTS):
             # An answer to an earlier question has another key.
-            answered, raw = await self.client.ask(unique_id, Verb.READ_SETTING, key)
+            answered, raw = await self.client.request(unique_id, Verb.READ_SETTING, key)
             if answered == key:
                 break
         value = decoded_setting(name, raw) if answered == key else None
@@ -320,7 +320,7 @@ class Configurator:
         for unique_id, _ in itertools.product(answers, range(_INFO_ATTEMPTS)):
             if unique_id not in self.client.infos:
                 try:
-                    await self.client.ask(unique_id, Verb.GET_INFO)
+                    await self.client.request(unique_id, Verb.GET_INFO)
                 except (NoAnswerError, CommandRefusedError) as error:
                     _log.debug("no description: %s", error)
 
@@ -351,7 +351,7 @@ def _moved(before: Mapping[bytes, int], wanted: Mapping[bytes, int]) -> list[Cha
     ]
 
 
-def _said(unique_id: bytes, module: int | None, wanted: int) -> str:
+def _place_of_id(unique_id: bytes, module: int | None, wanted: int) -> str:
     """Return what a device has for an id, and what not."""
     if module is None:
         return f"device {unique_id.hex()} does not answer, and may have module id {wanted} or not"

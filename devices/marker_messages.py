@@ -63,8 +63,8 @@ def encode_markers(
         for label, place in zip(labels, positions, strict=True)
         if all(map(math.isfinite, place))
     }
-    told = {"sequence": sequence, "time_ns": time_ns, "time_s": time_s, "up": up}
-    content: dict[str, Any] = {name: value for name, value in told.items() if value is not None}
+    fields = {"sequence": sequence, "time_ns": time_ns, "time_s": time_s, "up": up}
+    content: dict[str, Any] = {name: value for name, value in fields.items() if value is not None}
     content["markers"] = seen
     nameless = [list(map(float, place)) for place in unlabelled if all(map(math.isfinite, place))]
     if nameless:

@@ -99,8 +99,8 @@ class QtmLink:
             if answering.done():
                 return answering.result() or b""  # of the version, nothing
         except client.QRTCommandException as error:
-            said = error.value
-            text = said.decode(errors="replace") if isinstance(said, bytes) else str(said)
+            value = error.value
+            text = value.decode(errors="replace") if isinstance(value, bytes) else str(value)
             raise self._arrivals.error or LinkError(f"{refused}: '{text}'; {would_do}") from error
         finally:
             answering.cancel()

@@ -27,6 +27,7 @@ class Device:
 
     @property
     def is_relay(self) -> bool:
+        """Whether it is the relay of the suit."""
         return self.module == RELAY
 
 
@@ -55,6 +56,7 @@ class Roster:
 
     @property
     def conflicts(self) -> tuple[Conflict, ...]:
+        """Module ids that several devices have."""
         return conflicts(self.ids)
 
     def find(self, text: str) -> Device:

@@ -96,7 +96,7 @@ class SignedLink:
             dropped = self._frames.dropped.total()
             data = read(chunk.data)
             if self._frames.dropped.total() != dropped:
-                self._tell(chunk.sender)
+                self._warn_once(chunk.sender)
             if self._frames.owes_count:
                 await self._give_count(chunk.sender)
             if data:
@@ -121,7 +121,7 @@ class SignedLink:
         except LinkError as error:
             _log.debug("%s: no count given: %s", self.name, error)
 
-    def _tell(self, sender: str) -> None:
+    def _warn_once(self, sender: str) -> None:
         """Warn once of each reason; who has no count yet is no reason to worry."""
         for defect in self._frames.dropped.keys() - self._reported - {Defect.OUTDATED}:
             self._reported.add(defect)

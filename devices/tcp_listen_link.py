@@ -99,7 +99,7 @@ class TcpListenLink:
         _log.info("%s: %s has connected", self.name, caller.host)
         return True
 
-    def said(self, caller: _Caller, data: bytes) -> None:
+    def received(self, caller: _Caller, data: bytes) -> None:
         """Take what a caller sent, if it is the one that is connected."""
         if caller is self._caller:
             self._arrivals.put(data, gateway_time_ns())
@@ -135,7 +135,7 @@ class _Caller(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Hand bytes over to the link."""
-        self._link.said(self, data)
+        self._link.received(self, data)
 
     def connection_lost(self, error: Exception | None) -> None:
         """Report to the link that the caller is gone."""

@@ -62,6 +62,7 @@ HEAD_FIELDS = (*HEADER_FIELDS[3:], WireField(name="body_length", code="B", sente
 FD_LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Lengths that a CAN FD frame can have, bytes."""
 
+# What five bits of index can number, and what the byte of the body's length can say.
 MAX_PIECES = 32
 MAX_CAN_BODY_SIZE = 255
 MAX_PARTIAL_FRAMES = 256
@@ -203,12 +204,14 @@ class CanFrameDecoder:
         if index == 0:
             self._forget(stream)
             return self._begin(stream, [])
+        # The loss counts here, once; the rest of a wire frame that was spoilt before passes uncounted.
         if self._partial.get(stream) is not None or stream not in self._partial:
             self.dropped[Defect.LOST_FRAGMENT] += 1
             return self._begin(stream, None)
         return None
 
     def _begin(self, stream: int, pieces: list[bytes] | None) -> list[bytes] | None:
+        # A dictionary keeps the order of adding: its first key was begun longest ago.
         if stream not in self._partial and len(self._partial) >= MAX_PARTIAL_FRAMES:
             self._forget(next(iter(self._partial)))
         self._partial[stream] = pieces
@@ -227,5 +230,6 @@ def _reassemble(stream: int, payload: bytes, is_fd: bool) -> Entry | Defect:
     end = OVERHEAD + payload[LENGTH_OFFSET]
     if not 0 <= len(payload) - end <= (MAX_PADDING if is_fd else 0):
         return Defect.BAD_LENGTH
+    # The checksum covers the header of a byte stream, of which CAN has the first part in the identifier.
     identity = _IDENTITY.pack(PROTOCOL_VERSION, stream >> 8, stream & 0xFF)
     return parse(identity + payload[:LENGTH_OFFSET] + payload[_HEAD.size : end])

@@ -180,6 +180,7 @@ class TransferSender:
             return
         if flow.status is FlowStatus.OVERFLOW:
             self.outcome = Outcome.REFUSED
+        # What was confirmed before is not sent again: an older answer was overtaken on the bus.
         elif self._wanted <= flow.wanted <= len(self._data):
             self._follow(flow, now_ns)
 
@@ -193,6 +194,7 @@ class TransferSender:
                 self.outcome = Outcome.DONE
         elif flow.status is FlowStatus.WAIT:
             self._wait(now_ns)
+        # A block is allowed once: the same flow control, repeated, must not send its pieces twice.
         elif flow.status is FlowStatus.REPEAT or not self._is_granted:
             self._grant(flow, now_ns)
 

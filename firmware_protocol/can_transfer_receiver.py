@@ -94,6 +94,7 @@ class TransferReceiver:
             self.dropped[Defect.OVERLONG if is_good or total > MAX_FRAME_SIZE else Defect.BAD_LENGTH] += 1
             self._answer(module, first.transfer, FlowControl(0, FlowStatus.OVERFLOW))
             return None
+        # The pieces are of one size but for the last: so the first piece and the whole tell their number.
         begun = _Reception(first, -(-total // size), [first.data], 1, now_ns)
         self._receptions[module] = begun
         return self._go_on(module, begun, now_ns)
@@ -132,6 +133,7 @@ class TransferReceiver:
             self.dropped[entry] += 1
             self._answer(module, reception.first.transfer, FlowControl(0, FlowStatus.OVERFLOW))
             return None
+        # Kept until the sender begins another: the answer may be lost, and is then asked for again.
         reception.is_done = True
         reception.data = [b""] * reception.n_pieces  # only their number is still needed
         self.accepted += 1
@@ -167,6 +169,7 @@ class TransferReceiver:
         if reception.is_waiting:
             self._flow(module, reception, now_ns)
             return
+        # A piece that was lost leaves no gap to be seen when it was the last of its block.
         reception.retries += 1
         if reception.retries > self.params.max_retries:
             del self._receptions[module]

@@ -112,5 +112,5 @@ def transfer_section() -> str:
 def version_section() -> str:
     """Return how host and module agree on a version."""
     lowest, highest = SUPPORTED
-    spoken = f"version {lowest} alone" if lowest == highest else f"versions {lowest} to {highest}"
-    return VERSIONS.format(spoken=spoken).strip()
+    versions = f"version {lowest} alone" if lowest == highest else f"versions {lowest} to {highest}"
+    return VERSIONS.format(versions=versions).strip()

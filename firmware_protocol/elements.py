@@ -155,6 +155,7 @@ def _bytes_of(declared: WireField, value: Any) -> bytes:
 
 
 def _text(data: bytes, declared: WireField) -> str | None:
+    # Of fixed size, text is filled up with zeros; one inside it would cut it off in C.
     text = data if declared.is_rest else data.rstrip(b"\x00")
     if 0 in text:
         return None

@@ -132,6 +132,7 @@ class SlotStore:
     def _current(self) -> tuple[int, Slot] | None:
         """Return the slot in use and what it holds; None when neither is good."""
         read = [self._flash.read(slot * self._slot_size, self._slot_size) for slot in SLOTS]
+        # One that was cut off while it was written fails its magic or its checksum, and is no slot.
         good = [(slot, found) for slot in SLOTS if (found := decode_slot(read[slot])) is not None]
         if len(good) < len(SLOTS):
             return good[0] if good else None
@@ -146,6 +147,7 @@ def is_newer(generation: int, other: int) -> bool:
 def encode_slot(generation: int, settings: Mapping[int, Any]) -> bytes:
     """Return the image of a slot, magic included. Raises ValueError for a value outside its limits."""
     entries = b""
+    # Sorted, so that the same settings give the same bytes, whoever changed them in which order.
     for key in sorted(settings):
         value = encode_value(key, settings[key])
         entries += _ENTRY.pack(key, len(value)) + value

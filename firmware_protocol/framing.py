@@ -184,6 +184,7 @@ class FrameDecoder:
         return entries
 
     def _skip(self) -> None:
+        # Without a delimiter the buffer would grow for ever: what came is dropped until the next one.
         if not self._skipping:
             self.dropped[Defect.OVERLONG] += 1
         self._partial, self._skipping = b"", True

@@ -299,7 +299,7 @@ since a DBC knows nothing of reassembly:
 VERSIONS = """\
 ## Versions
 
-Each party knows the versions from a lowest to a highest one; this description is of {spoken}. The
+Each party knows the versions from a lowest to a highest one; this description is of {versions}. The
 host says its own in `HELLO`, always in wire frames of version 1; the device chooses the highest that both
 know, or 0, and answers with its own range, as version 1 too. From then on both send the chosen version,
 until the device starts anew. Without `HELLO`, version 1 is spoken.

@@ -141,6 +141,7 @@ class SignedFrames:
             begin = end
             signature = self._signature
             if signature is None:
+                # A lone delimiter is an idle line, and no wire frame without signature.
                 if len(block) > 1:
                     self._signature = signature = _signature_in(block)
                     if signature is None:
@@ -157,8 +158,10 @@ class SignedFrames:
         return b"".join(opened), data[begin:]
 
     def _verify(self, signature: bytes, frame: bytes) -> Defect | None:
+        # The key is worked into the hash once, in __init__; a copy is cheaper than beginning anew.
         keyed = self._keyed.copy()
         keyed.update(signature[:_SIGNED_SIZE] + frame)
+        # In constant time: how long it takes must not say how many bytes of a forged tag are right.
         if not hmac.compare_digest(keyed.digest(), signature[_SIGNED_SIZE:]):
             return Defect.BAD_SIGNATURE
         signer, low, high = _SIGNED.unpack_from(signature)

@@ -195,10 +195,12 @@ class Pipeline:
         for item in items:
             if isinstance(item, Chunk):
                 taker, frames = self._assembled(item)
+                # Poses keep the order of their chunks: a block ends where another stage has frames.
                 if taker is not stage and frames:
                     yield from self._solved(stage, block)
                     stage, block = taker, []
                 block += frames
+            # An event holds for what comes after it, so what came before is solved first.
             if isinstance(item, InputEvent) or len(block) >= FRAMES_AT_A_TIME:
                 yield from self._solved(stage, block)
                 block = []
@@ -282,9 +284,10 @@ class Pipeline:
             "modules": self.modules.statistics(),
         }
         for part in self._parts:
-            for section, told in part.statistics().items():
-                if isinstance(told, Mapping) and section in found:
-                    found[section] |= told
+            for section, values in part.statistics().items():
+                # Two sources may fill one section, each with the links or modules of its own.
+                if isinstance(values, Mapping) and section in found:
+                    found[section] |= values
                 else:
-                    found[section] = told
+                    found[section] = values
         return found

@@ -61,18 +61,18 @@ def _is_carried(given: Any) -> Any:
 
     This comes first, since ``carries`` says which settings there are.
     """
-    told = given.model_dump() if isinstance(given, LinkSettings) else given
-    if not isinstance(told, dict) or has_credentials(told.get("url")):  # refused without being shown
+    fields = given.model_dump() if isinstance(given, LinkSettings) else given
+    if not isinstance(fields, dict) or has_credentials(fields.get("url")):  # refused without being shown
         return given
-    carries = str(told.get("carries", SUIT))
+    carries = str(fields.get("carries", SUIT))
     if carries not in SOURCES:
         raise ValueError(f"carries: no source reads '{carries}'{nearest(carries, SOURCES)}")
-    foreign = told.keys() - _fields(carries)
+    foreign = fields.keys() - _fields(carries)
     others = [each for each in SOURCES if foreign and foreign <= _fields(each)]
     if others:
         what = ", ".join(sorted(foreign))
         raise ValueError(f"'{what}' goes with carries: {', '.join(others)}; this link carries {carries}")
-    return told if type(given) is LinkSettings else given
+    return fields if type(given) is LinkSettings else given
 
 
 def _fields(carries: str) -> Set[str]:
@@ -476,10 +476,10 @@ def pushed_file(config: Path) -> Path:
 def pushed_settings(config: Path) -> dict[str, Any]:
     """Return what the fleet has pushed. Raises ``SettingsError`` for a file that cannot be read."""
     file = pushed_file(config)
-    told = load_yaml(file) if file.exists() else None
-    if told is not None and not isinstance(told, dict):
+    loaded = load_yaml(file) if file.exists() else None
+    if loaded is not None and not isinstance(loaded, dict):
         raise SettingsError(f"{file}: holds no named settings: delete it to go back to {config.name}")
-    return told or {}
+    return loaded or {}
 
 
 def load_gateway_settings(path: Path, pushed: dict[str, Any] | None = None) -> GatewaySettings:

@@ -89,7 +89,11 @@ def test_only_tests_of_benchmarks_import_benchmarks():
 MAKERS = [word for word, kind in SOURCES.items() if issubclass(kind.settings, OthersLinkSettings)]
 """Words of the configuration for other makers' modules."""
 OF_MAKERS = {SOURCES[word].settings.__module__.removeprefix("gateway.sources.") for word in MAKERS}
-LISTS = {"gateway/sources/registry.py", "devices/emulators/voices.py", "devices/emulators/makers_campaign.py"}
+LISTS = {
+    "gateway/sources/registry.py",
+    "devices/emulators/vendor_emulators.py",
+    "devices/emulators/makers_campaign.py",
+}
 """Where they are entered: by the gateway, by ``emulate``, by what damages their messages."""
 
 

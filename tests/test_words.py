@@ -5,8 +5,11 @@ The list is that of docs/reference/glossary.md, "Words that were given up".
 
 from __future__ import annotations
 
+import io
+import keyword
 import re
 import subprocess
+import tokenize
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,6 +52,17 @@ RETIRED = (
     Retired(r"\b_?deeds?\b", "action, command"),
     Retired(r"\b\w*_telling\b", "progress, reported, observable", PROGRAM, NUMERICS, (".py",)),
 )
+NAMES = re.compile(
+    r"(^|_)(told|tells?|telling|heard|unheard|hears?|spoken|speaks|said|says?|voices?|believed)(_|$)"
+)
+"""Verbs of speech as names: what is meant is a report, a message, a sample or a publication."""
+NAMED_BY_OTHERS = {"tell"}
+"""As a method: the place in a file, which Python calls so."""
+_OPTIONS = {"speaks": "the option --speaks of emulate"}
+_CODE = ("gateway/", "devices/", "firmware_protocol/", "benchmarks/")
+_NOT_YET = (NUMERICS, "benchmarks/never_worse/")
+"""Where names are still to be changed."""
+
 ALLOWED = {
     "gateway/support/former_names.py": "reads files of the release before",
     "tests/gateway/test_former_names.py": "writes such files",
@@ -89,6 +103,21 @@ def test_no_retired_word_is_used():
             for match in pattern.finditer(line)
         ]
     assert not found, f"{len(found)} retired words\n" + "\n".join(found)
+
+
+def test_no_name_is_a_verb_of_speech():
+    listed = [name for name in _texts() if name.startswith(_CODE) and not name.startswith(_NOT_YET)]
+    found = []
+    for name in listed:
+        if not name.endswith(".py"):
+            continue
+        source = (ROOT / name).read_text(encoding="utf-8")
+        for token in tokenize.generate_tokens(io.StringIO(source).readline):
+            if token.type != tokenize.NAME or keyword.iskeyword(token.string):
+                continue
+            if NAMES.search(token.string.lower()) and token.string not in {*NAMED_BY_OTHERS, *_OPTIONS}:
+                found.append(f"{name}:{token.start[0]}: {token.string}")
+    assert not found, f"{len(found)} names\n" + "\n".join(found)
 
 
 def test_the_glossary_names_every_word_that_was_given_up():

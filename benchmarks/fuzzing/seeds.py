@@ -98,11 +98,11 @@ _SLIMEVR = [
 ]
 
 
-def _spoken(language: str) -> list[bytes]:
+def _messages(language: str) -> list[bytes]:
     """Messages of another maker's protocol, alone and in a row."""
     rng = Random(1)
-    said = [LANGUAGES[language].message(rng, number) for number in range(9)]
-    return [*said, b"".join(said)]
+    messages = [LANGUAGES[language].message(rng, number) for number in range(9)]
+    return [*messages, b"".join(messages)]
 
 
 def _of_the_wire() -> dict[str, list[bytes]]:
@@ -112,11 +112,16 @@ def _of_the_wire() -> dict[str, list[bytes]]:
     slot = encode_slot(7, factory_settings())
     return {
         "wire_stream": [*streams, b"".join(streams[:8])],
-        "ximu3_stream": [*_spoken("ximu3"), *_spoken("ximu3_text"), _ANNOUNCED],
-        "witmotion_stream": [*_spoken("witmotion"), *_spoken("witmotion_can"), *_REGISTERS],
-        "suit_datagrams": [*_spoken("mvn"), *_spoken("mocopi"), *_spoken("bno08x_rvc"), *_MVN_DATAGRAMS],
-        "mti_stream": [*_spoken("mti"), encode_can({"sample_time_us": (7,), "acceleration": (0, 0, 9.75)})],
-        "slimevr_datagrams": [*_spoken("slimevr")[:9], *_SLIMEVR],
+        "ximu3_stream": [*_messages("ximu3"), *_messages("ximu3_text"), _ANNOUNCED],
+        "witmotion_stream": [*_messages("witmotion"), *_messages("witmotion_can"), *_REGISTERS],
+        "suit_datagrams": [
+            *_messages("mvn"),
+            *_messages("mocopi"),
+            *_messages("bno08x_rvc"),
+            *_MVN_DATAGRAMS,
+        ],
+        "mti_stream": [*_messages("mti"), encode_can({"sample_time_us": (7,), "acceleration": (0, 0, 9.75)})],
+        "slimevr_datagrams": [*_messages("slimevr")[:9], *_SLIMEVR],
         "can_stream": [*buses, b"".join(buses[:4])],
         "slcan_text": [b"T0c400c4081100d01213000d05\rt1232ab01\rd1239" + b"00" * 12 + b"\r\x07V1013\r"],
         "can_transfers": [bytes([1, 0]) + bytes.fromhex(each["body"])[:14] for each in packets],

@@ -102,11 +102,11 @@ def slimevr_datagrams(data: bytes) -> None:
         size, rest, now_s = rest[0], rest[1:], now_s + 0.7
         datagram, rest = rest[:size], rest[size:]
         decoder.feed(datagram)
-        for said in (*session.hear(datagram, now_s), *session.data(session.presentations(now_s))):
-            assert len(said) <= MAX_DATAGRAM, len(said)
+        for sent in (*session.receive(datagram, now_s), *session.data(session.presentations(now_s))):
+            assert len(sent) <= MAX_DATAGRAM, len(sent)
         session.due(now_s)
     SlimevrDecoder().feed(data)
-    session.hear(data, now_s)
+    session.receive(data, now_s)
 
 
 def witmotion_stream(data: bytes) -> None:

@@ -124,10 +124,10 @@ def _of_file(path: Path) -> tuple[int, list[People]]:
 
 
 def _picture_of(entry: dict[str, Any], path: Path) -> int:
-    told = entry.get("image_id", entry.get("frame_id"))
-    numbers = _NUMBERS.findall(Path(str(told)).stem)
+    image_id = entry.get("image_id", entry.get("frame_id"))
+    numbers = _NUMBERS.findall(Path(str(image_id)).stem)
     if not numbers:
-        raise FormatError(f"{path}: image_id {told!r} has no number: pictures are put in order by it")
+        raise FormatError(f"{path}: image_id {image_id!r} has no number: pictures are put in order by it")
     return int(numbers[-1])
 
 

@@ -36,14 +36,14 @@ class CameraOrders:
 
 def encode_orders(sequence: int, cameras: Mapping[str, Mapping[int, Square | None]]) -> bytes:
     """Return one line, for all cameras."""
-    told = {
+    encoded = {
         name: {
             str(number): None if square is None else [round(value, 3) for value in square]
             for number, square in squares.items()
         }
         for name, squares in cameras.items()
     }
-    return json.dumps({"sequence": sequence, "cameras": told}, separators=(",", ":")).encode() + b"\n"
+    return json.dumps({"sequence": sequence, "cameras": encoded}, separators=(",", ":")).encode() + b"\n"
 
 
 def read_orders(line: bytes, camera: str) -> CameraOrders | None:
@@ -52,8 +52,8 @@ def read_orders(line: bytes, camera: str) -> CameraOrders | None:
         return None
     try:
         content = json.loads(line)
-        told = content["cameras"][camera]
-        squares = {int(number): _square(square) for number, square in told.items()}
+        by_number = content["cameras"][camera]
+        squares = {int(number): _square(square) for number, square in by_number.items()}
         orders = CameraOrders(int(content["sequence"]), squares)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
         return None
@@ -61,11 +61,11 @@ def read_orders(line: bytes, camera: str) -> CameraOrders | None:
     return orders if is_known and len(squares) <= MOST_PEOPLE else None
 
 
-def _square(told: list[float] | None) -> Square | None:
+def _square(values: list[float] | None) -> Square | None:
     """Return a square. Raises ``ValueError`` for what is none."""
-    if told is None:
+    if values is None:
         return None
-    x, y, side, turn = (float(value) for value in told)
+    x, y, side, turn = (float(value) for value in values)
     if not (all(map(math.isfinite, (x, y, turn))) and 1.0 <= side <= 1e5 and max(abs(x), abs(y)) <= 1e5):
-        raise ValueError(f"{told} is no square of a picture")
+        raise ValueError(f"{values} is no square of a picture")
     return x, y, side, turn

@@ -25,7 +25,7 @@ _QUIET_S = 0.15
 P = TypeVar("P", bound=Packet)
 
 
-class Heard(NamedTuple):
+class ArrivedPacket(NamedTuple):
     """A packet, and when the chunk that completed it came."""
 
     received: ReceivedPacket
@@ -51,7 +51,7 @@ class Bench:
     def __init__(self, link: Link) -> None:
         self.link = link
         self.decoder = LinkDecoder(link.framing)
-        self.heard: list[Heard] = []
+        self.packets: list[ArrivedPacket] = []
         self.allows_writes = False
         self.is_lost: str | None = None
         """Why the link is no longer read."""
@@ -89,7 +89,7 @@ class Bench:
                 break
         if not infos:
             raise NoModuleError(
-                f"no DeviceInfo came in {_ATTEMPTS * listen_s:.0f} s, but {len(self.heard)} other packets: "
+                f"no DeviceInfo came in {_ATTEMPTS * listen_s:.0f} s, but {len(self.packets)} other packets: "
                 "a module sends one when it is asked for it, and every 5 s"
             )
         if len(chosen) != 1:
@@ -102,13 +102,13 @@ class Bench:
 
     def mark(self) -> int:
         """Return the place in ``heard`` from which ``of`` is to look on."""
-        return len(self.heard)
+        return len(self.packets)
 
-    def of(self, packet: type[P], since: int = 0) -> list[Heard]:
+    def of(self, packet: type[P], since: int = 0) -> list[ArrivedPacket]:
         """Return what was heard of a kind since a mark."""
-        return [each for each in self.heard[since:] if isinstance(each.received.packet, packet)]
+        return [each for each in self.packets[since:] if isinstance(each.received.packet, packet)]
 
-    def from_module(self, packet: type[P], since: int = 0) -> list[Heard]:
+    def from_module(self, packet: type[P], since: int = 0) -> list[ArrivedPacket]:
         """Return what the module under test sent of a kind."""
         return [each for each in self.of(packet, since) if each.received.module == self.module]
 
@@ -162,7 +162,7 @@ class Bench:
         await self.send(Command(number, verb, unique_id, arguments), module)
         return number
 
-    def answers(self, transaction: int, since: int = 0) -> list[Heard]:
+    def answers(self, transaction: int, since: int = 0) -> list[ArrivedPacket]:
         """Return the module's answers to a transaction."""
         return [
             each
@@ -170,7 +170,9 @@ class Bench:
             if each.packet.transaction == transaction and each.packet.unique_id == self.unique_id
         ]
 
-    async def ask(self, verb: int, *values: Any, arguments: bytes | None = None) -> Acknowledgement | None:
+    async def request(
+        self, verb: int, *values: Any, arguments: bytes | None = None
+    ) -> Acknowledgement | None:
         """Ask the module by its unique id, again where it does not answer; None where it never does.
 
         values: as the verb declares them, or ``arguments`` as bytes.
@@ -189,7 +191,7 @@ class Bench:
 
     async def is_answering(self) -> bool:
         """Return whether the module answers a command now; its answers to earlier ones have come by then."""
-        answer = await self.ask(Verb.HELLO, 1, 1)
+        answer = await self.request(Verb.HELLO, 1, 1)
         await asyncio.sleep(_QUIET_S)
         return answer is not None
 
@@ -197,7 +199,7 @@ class Bench:
         try:
             async for item in self.link:
                 if isinstance(item, Chunk):
-                    self.heard += [Heard(each, item.arrived_ns) for each in self.decoder.feed(item)]
+                    self.packets += [ArrivedPacket(each, item.arrived_ns) for each in self.decoder.feed(item)]
                     self._news.set()
             self.is_lost = "the other side closed it"
         except LinkError as error:

@@ -51,7 +51,7 @@ def demand_result(answer: Acknowledgement | None, wanted: Result, what: str) -> 
 @rule("hello", "HELLO is answered with the highest version that both know")
 async def hello(bench: Bench) -> None:
     """Ask with the versions that this host speaks."""
-    answer = await bench.ask(Verb.HELLO, *SUPPORTED)
+    answer = await bench.request(Verb.HELLO, *SUPPORTED)
     demand_result(answer, Result.DONE, "HELLO")
     payload = decode_payload(Verb.HELLO, answer.payload if answer else b"")
     demand(
@@ -62,7 +62,7 @@ async def hello(bench: Bench) -> None:
 @rule("hello_no_version", "HELLO with versions that the device does not know is answered with 0")
 async def hello_no_version(bench: Bench) -> None:
     """Ask with versions that do not exist yet."""
-    answer = await bench.ask(Verb.HELLO, 200, 201)
+    answer = await bench.request(Verb.HELLO, 200, 201)
     demand_result(answer, Result.DONE, "HELLO 200 to 201")
     payload = decode_payload(Verb.HELLO, answer.payload if answer else b"")
     demand(payload is not None and payload[0] == 0, f"versions 200 to 201 were answered by {payload}")
@@ -72,7 +72,7 @@ async def hello_no_version(bench: Bench) -> None:
 async def identify(bench: Bench) -> None:
     """Have it blink for a second, and stop; whether it does cannot be seen from the line."""
     for seconds in (1, 0):
-        demand_result(await bench.ask(Verb.IDENTIFY, seconds), Result.DONE, f"IDENTIFY {seconds} s")
+        demand_result(await bench.request(Verb.IDENTIFY, seconds), Result.DONE, f"IDENTIFY {seconds} s")
 
 
 @rule("get_info", "GET_INFO is answered, then DeviceInfo and Health are sent")
@@ -80,7 +80,7 @@ async def get_info(bench: Bench) -> None:
     """Ask once for each of both, in less time than they take to come by themselves."""
     for kind in (DeviceInfo, Health):
         since = bench.mark()
-        demand_result(await bench.ask(Verb.GET_INFO), Result.DONE, "GET_INFO")
+        demand_result(await bench.request(Verb.GET_INFO), Result.DONE, "GET_INFO")
 
         def followed(kind: type[DeviceInfo | Health] = kind, since: int = since) -> bool:
             return bool(bench.from_module(kind, since))
@@ -92,13 +92,15 @@ async def get_info(bench: Bench) -> None:
 @rule("unknown_verb", "a verb that the device does not know is answered with result 1, never with silence")
 async def unknown_verb(bench: Bench) -> None:
     """Ask with a verb that does not exist yet."""
-    demand_result(await bench.ask(UNKNOWN_VERB, arguments=b""), Result.UNKNOWN_VERB, f"verb {UNKNOWN_VERB}")
+    demand_result(
+        await bench.request(UNKNOWN_VERB, arguments=b""), Result.UNKNOWN_VERB, f"verb {UNKNOWN_VERB}"
+    )
 
 
 @rule("card_verbs", "what the device does not have is answered with result 9, never with silence")
 async def card_verbs(bench: Bench) -> None:
     """Ask for the files of a card, which most modules do not have."""
-    answer = await bench.ask(Verb.CARD_LIST, 0)
+    answer = await bench.request(Verb.CARD_LIST, 0)
     demand(
         answer is not None and answer.result in (Result.DONE, Result.NOT_SUPPORTED),
         f"CARD_LIST: {result_of(answer)}",
@@ -109,7 +111,7 @@ async def card_verbs(bench: Bench) -> None:
 async def bad_arguments(bench: Bench) -> None:
     """Ask with too few and with too many bytes."""
     for verb, arguments in ((Verb.HELLO, b"\x01"), (Verb.IDENTIFY, b""), (Verb.READ_SETTING, b"\x01\x02")):
-        answer = await bench.ask(verb, arguments=arguments)
+        answer = await bench.request(verb, arguments=arguments)
         demand_result(answer, Result.BAD_ARGUMENTS, f"{verb.name} with {len(arguments)} bytes")
 
 
@@ -120,7 +122,7 @@ async def bad_arguments(bench: Bench) -> None:
 async def read_settings(bench: Bench) -> None:
     """Read all that are declared, of which a firmware need not have every one, and one that is not."""
     for key, declared in SETTINGS.items():
-        answer = await bench.ask(Verb.READ_SETTING, key)
+        answer = await bench.request(Verb.READ_SETTING, key)
         if answer is not None and answer.result == Result.NO_SUCH_SETTING:
             continue  # a firmware need not have them all
         demand_result(answer, Result.DONE, f"READ_SETTING {declared.name}")
@@ -129,7 +131,7 @@ async def read_settings(bench: Bench) -> None:
         demand(
             value is not None, f"READ_SETTING {declared.name} gives {answer.payload.hex() if answer else ''}"
         )
-    answer = await bench.ask(Verb.READ_SETTING, UNKNOWN_KEY)
+    answer = await bench.request(Verb.READ_SETTING, UNKNOWN_KEY)
     demand_result(answer, Result.NO_SUCH_SETTING, f"READ_SETTING {UNKNOWN_KEY}")
 
 
@@ -139,14 +141,14 @@ async def stop_and_start(bench: Bench) -> None:
     await needs_own_timer(bench)
     try:
         for _ in range(2):
-            demand_result(await bench.ask(Verb.STOP), Result.DONE, "STOP")
+            demand_result(await bench.request(Verb.STOP), Result.DONE, "STOP")
         await asyncio.sleep(_STOPPED_S)
         since = bench.mark()
         await asyncio.sleep(_STOPPED_S)
         demand(not samples(bench, since), f"{len(samples(bench, since))} samples came after STOP")
     finally:
         # Also where the rule is broken: the module is left sending, as it was found.
-        started = [await bench.ask(Verb.START) for _ in range(2)]
+        started = [await bench.request(Verb.START) for _ in range(2)]
     demand(all(each is not None and each.result == Result.DONE for each in started), "START is not answered")
     demand(await bench.until(lambda: len(samples(bench, since)) > 1), "no samples came after START")
 
@@ -161,16 +163,16 @@ async def repeated_command(bench: Bench) -> None:
         demand(first is not None, "STOP is not answered")
     # The module must sample again, whatever the test finds.
     finally:
-        await bench.ask(Verb.START)
+        await bench.request(Verb.START)
     # Just as many other commands as it has to remember beside the first.
     for _ in range(ANSWER_MEMORY - 2):
-        await bench.ask(Verb.HELLO, *SUPPORTED)
+        await bench.request(Verb.HELLO, *SUPPORTED)
     again = await _answer_to_stop(bench, stop)
     await asyncio.sleep(_STOPPED_S)
     since = bench.mark()
     is_sampling = await bench.until(lambda: bool(samples(bench, since)), _STOPPED_S)
     if not is_sampling:
-        await bench.ask(Verb.START)
+        await bench.request(Verb.START)
     demand(
         is_sampling,
         f"STOP was obeyed again: its transaction and {ANSWER_MEMORY - 1} others are to be remembered",
@@ -253,7 +255,7 @@ async def noise(bench: Bench) -> None:
         for start in range(0, len(data), 128):
             await bench.write(data[start : start + 128])
             await asyncio.sleep(0.002)
-        answer = await bench.ask(Verb.HELLO, *SUPPORTED)
+        answer = await bench.request(Verb.HELLO, *SUPPORTED)
         demand(
             answer,
             f"nothing was answered after {len(data)} bytes {data[:4].hex()}… within {PATIENCE_S:.0f} s",

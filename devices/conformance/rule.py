@@ -35,7 +35,7 @@ class Rule:
 
     name: str
     """Short, and never given a second meaning: people search for it."""
-    says: str
+    statement: str
     """The rule, in the words of the reference."""
     check: Check
     """Raises ``BrokenError`` or ``SkippedError``."""
@@ -47,16 +47,16 @@ class Finding(NamedTuple):
     """What came of one rule."""
 
     rule: str
-    says: str
+    statement: str
     outcome: Outcome
     detail: str
 
 
-def rule(name: str, says: str, *, is_writing: bool = False) -> Callable[[Check], Rule]:
+def rule(name: str, statement: str, *, is_writing: bool = False) -> Callable[[Check], Rule]:
     """Make a rule of a check."""
 
     def made(check: Check) -> Rule:
-        return Rule(name, says, check, is_writing)
+        return Rule(name, statement, check, is_writing)
 
     return made
 

@@ -47,13 +47,13 @@ async def check_module(
 
 async def _finding(bench: Bench, rule: Rule, allow_writes: bool) -> Finding:
     if rule.is_writing and not allow_writes:
-        return Finding(rule.name, rule.says, Outcome.SKIPPED, "it changes settings: pass --allow-writes")
+        return Finding(rule.name, rule.statement, Outcome.SKIPPED, "it changes settings: pass --allow-writes")
     if bench.is_lost is not None:
         raise LinkError(bench.is_lost)
     try:
         await rule.check(bench)
     except BrokenError as error:
-        return Finding(rule.name, rule.says, Outcome.BROKEN, str(error))
+        return Finding(rule.name, rule.statement, Outcome.BROKEN, str(error))
     except SkippedError as error:
-        return Finding(rule.name, rule.says, Outcome.SKIPPED, str(error))
-    return Finding(rule.name, rule.says, Outcome.KEPT, "")
+        return Finding(rule.name, rule.statement, Outcome.SKIPPED, str(error))
+    return Finding(rule.name, rule.statement, Outcome.KEPT, "")

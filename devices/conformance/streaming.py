@@ -6,7 +6,7 @@ import math
 import statistics
 from collections import Counter
 
-from devices.conformance.bench import Bench, Heard, steps
+from devices.conformance.bench import ArrivedPacket, Bench, steps
 from devices.conformance.rule import BrokenError, SkippedError, demand, rule
 from devices.link import Framing
 from firmware_protocol import DeviceInfo, Health, InertialSample, InertialSampleFine
@@ -27,17 +27,17 @@ _GRAVITY = (7.0, 13.0)
 _SAMPLING_RATE, _MODE = 2, 8
 
 
-def samples(bench: Bench, since: int = 0) -> list[Heard]:
+def samples(bench: Bench, since: int = 0) -> list[ArrivedPacket]:
     """Return the module's inertial samples since a mark."""
     return [
         each
-        for each in bench.heard[since:]
+        for each in bench.packets[since:]
         if isinstance(each.packet, InertialSample | InertialSampleFine)
         and each.received.module == bench.module
     ]
 
 
-def _some(bench: Bench) -> list[Heard]:
+def _some(bench: Bench) -> list[ArrivedPacket]:
     found = samples(bench)
     if len(found) < 10:
         raise BrokenError(f"{len(found)} samples came in {LISTENED_S:.0f} s")
@@ -46,7 +46,7 @@ def _some(bench: Bench) -> list[Heard]:
 
 async def setting(bench: Bench, key: int) -> object:
     """Return the value of a setting of the module. Raises ``SkippedError`` where it does not answer."""
-    answer = await bench.ask(Verb.READ_SETTING, key)
+    answer = await bench.request(Verb.READ_SETTING, key)
     payload = None if answer is None else decode_payload(Verb.READ_SETTING, answer.payload)
     if payload is None or payload[0] != key:
         raise SkippedError("READ_SETTING does not tell what the module was set to")
@@ -64,8 +64,8 @@ async def frames_whole(bench: Bench) -> None:
     """Look at what was dropped; a line that was opened within a wire frame gives one that is broken."""
     dropped = Counter(bench.decoder.dropped)
     allowed = 1 if bench.link.framing is Framing.BYTE_STREAM else 2
-    said = ", ".join(f"{count} {defect.name}" for defect, count in dropped.items())
-    demand(dropped.total() <= allowed, f"dropped: {said}")
+    counts = ", ".join(f"{count} {defect.name}" for defect, count in dropped.items())
+    demand(dropped.total() <= allowed, f"dropped: {counts}")
 
 
 @rule("device_info", "DeviceInfo every 5 s")
@@ -138,7 +138,7 @@ async def counter_in_microseconds(bench: Bench) -> None:
     )
 
 
-def _passed_and_drift(found: list[Heard]) -> tuple[int, float]:
+def _passed_and_drift(found: list[ArrivedPacket]) -> tuple[int, float]:
     """Return by how much the counter went on, and how much more the host's clock did, as a share of that."""
     part = len(found) // 4
     stamps = [0]
@@ -191,15 +191,15 @@ async def specific_force(bench: Bench) -> None:
 async def sensors_reported(bench: Bench) -> None:
     """Hold the newest DeviceInfo against all samples."""
     info = bench.from_module(DeviceInfo)[-1].packet
-    for sensor, told in (
+    for sensor, stated_range in (
         ("specific_force", info.accelerometer_range),
         ("angular_rate", info.gyroscope_range),
         ("magnetic_field", info.magnetometer_range),
     ):
         is_sent = any(getattr(each.packet, sensor) is not None for each in _some(bench))
         demand(
-            is_sent == (told is not None),
-            f"{sensor}: {'sent' if is_sent else 'not sent'}, range told: {told}",
+            is_sent == (stated_range is not None),
+            f"{sensor}: {'sent' if is_sent else 'not sent'}, range stated_range: {stated_range}",
         )
 
 

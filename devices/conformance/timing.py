@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from devices.conformance.bench import Bench, Heard
+from devices.conformance.bench import ArrivedPacket, Bench
 from devices.conformance.rule import demand, rule
 from firmware_protocol import BROADCAST, MAX_MODULE, SyncRequest, SyncResponse
 from firmware_protocol.commands import Verb
@@ -17,20 +17,20 @@ _DRIFT_US = 2_000
 _SLOW_US = 50_000
 
 
-async def exchange(bench: Bench, module: int) -> tuple[int, int, Heard] | None:
+async def exchange(bench: Bench, module: int) -> tuple[int, int, ArrivedPacket] | None:
     """Ask for the time once: when it was sent (ns), the token, the answer; None: none came."""
     token = bench.next_transaction()
     since = bench.mark()
     sent_ns = await bench.send(SyncRequest(token, 0), module)
 
-    def answers() -> list[Heard]:
+    def answers() -> list[ArrivedPacket]:
         return [each for each in bench.from_module(SyncResponse, since) if each.packet.token == token]
 
     await bench.until(lambda: bool(answers()), 1.0)
     return (sent_ns, token, answers()[0]) if answers() else None
 
 
-async def _several(bench: Bench, module: int) -> list[tuple[int, int, Heard]]:
+async def _several(bench: Bench, module: int) -> list[tuple[int, int, ArrivedPacket]]:
     found = []
     for _ in range(_EXCHANGES):
         done = await exchange(bench, module)
@@ -77,7 +77,7 @@ async def time_reported_truly(bench: Bench) -> None:
     )
 
 
-def _offsets_us(found: list[tuple[int, int, Heard]]) -> tuple[float, float]:
+def _offsets_us(found: list[tuple[int, int, ArrivedPacket]]) -> tuple[float, float]:
     """Return the least and the greatest offset of the host's clock that exchanges allow, µs.
 
     The module's clock plus the offset lies between sending and arrival: in every exchange, so in all.
@@ -107,7 +107,7 @@ async def time_request_to_another(bench: Bench) -> None:
     other = (bench.module + 1) % (MAX_MODULE + 1)
     token = bench.next_transaction()
     await bench.send(SyncRequest(token, 0), other)
-    demand(await bench.ask(Verb.HELLO, 1, 1), "HELLO is not answered")
+    demand(await bench.request(Verb.HELLO, 1, 1), "HELLO is not answered")
     wrong = [each for each in bench.from_module(SyncResponse, since) if each.packet.token == token]
     demand(not wrong, f"a request to module {other} was answered")
 

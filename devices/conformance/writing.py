@@ -23,7 +23,7 @@ _QUIET_S = 0.4
 
 async def held(bench: Bench, name: str) -> bytes | None:
     """Return the bytes of a setting; None where it is not answered."""
-    answer = await bench.ask(Verb.READ_SETTING, SETTING_KEYS[name])
+    answer = await bench.request(Verb.READ_SETTING, SETTING_KEYS[name])
     payload = None if answer is None else decode_payload(Verb.READ_SETTING, answer.payload)
     return None if payload is None else bytes(payload[1])
 
@@ -37,19 +37,19 @@ async def backup(bench: Bench) -> dict[str, bytes]:
 async def write(bench: Bench, wanted: Mapping[str, bytes]) -> None:
     """Stage and commit; what the module refuses is left out."""
     for name, raw in wanted.items():
-        await bench.ask(Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
-    await bench.ask(Verb.COMMIT)
+        await bench.request(Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
+    await bench.request(Verb.COMMIT)
 
 
 async def _stage(bench: Bench, name: str, value: object) -> None:
-    answer = await bench.ask(Verb.WRITE_SETTING, SETTING_KEYS[name], encoded_setting(name, value))
+    answer = await bench.request(Verb.WRITE_SETTING, SETTING_KEYS[name], encoded_setting(name, value))
     if answer is not None and answer.result == Result.REFUSED:
         raise SkippedError("writes are locked on the module")
     demand_result(answer, Result.DONE, f"WRITE_SETTING {name}={value}")
 
 
 async def _commit(bench: Bench) -> int:
-    answer = await bench.ask(Verb.COMMIT)
+    answer = await bench.request(Verb.COMMIT)
     demand_result(answer, Result.DONE, "COMMIT")
     payload = decode_payload(Verb.COMMIT, answer.payload if answer else b"")
     if payload is None:
@@ -75,15 +75,15 @@ async def staged(bench: Bench) -> None:
     demand(
         await held(bench, "label") == encoded_setting("label", _LABEL), "what was staged does not read back"
     )
-    demand_result(await bench.ask(Verb.DISCARD), Result.DONE, "DISCARD")
+    demand_result(await bench.request(Verb.DISCARD), Result.DONE, "DISCARD")
     demand(await held(bench, "label") == before, "DISCARD did not forget what was staged")
 
 
 @rule("nothing_staged", "COMMIT with nothing staged is answered with result 8", is_writing=True)
 async def nothing_staged(bench: Bench) -> None:
     """Discard whatever is staged before."""
-    await bench.ask(Verb.DISCARD)
-    demand_result(await bench.ask(Verb.COMMIT), Result.NOTHING_STAGED, "COMMIT")
+    await bench.request(Verb.DISCARD)
+    demand_result(await bench.request(Verb.COMMIT), Result.NOTHING_STAGED, "COMMIT")
 
 
 @rule(
@@ -97,10 +97,10 @@ async def limits(bench: Bench) -> None:
         before = await held(bench, name)
         if before is None:
             continue
-        answer = await bench.ask(Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
+        answer = await bench.request(Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
         demand_result(answer, Result.BAD_ARGUMENTS, f"WRITE_SETTING {name}={raw[:4].hex()}")
         demand(await held(bench, name) == before, f"a value of {name} that was refused reads back")
-    answer = await bench.ask(Verb.WRITE_SETTING, UNKNOWN_KEY, b"\x01")
+    answer = await bench.request(Verb.WRITE_SETTING, UNKNOWN_KEY, b"\x01")
     demand_result(answer, Result.NO_SUCH_SETTING, f"WRITE_SETTING {UNKNOWN_KEY}")
 
 
@@ -148,7 +148,7 @@ async def acts_by_settings(bench: Bench) -> None:
             f"samples at 25 Hz are {interval_s:.3f} s apart by the module's clock",
         )
     finally:
-        await bench.ask(Verb.DISCARD)
+        await bench.request(Verb.DISCARD)
         if before is not None:
             await write(bench, {"sampling_rate": before})
 
@@ -164,12 +164,12 @@ async def takes_id(bench: Bench) -> None:
         await _stage(bench, "module_id", other)
         demand(bench.module != other, "the new id is used before COMMIT")
         await _commit(bench)
-        answer = await bench.ask(Verb.HELLO, 1, 1)
+        answer = await bench.request(Verb.HELLO, 1, 1)
         demand(
             answer is not None and bench.module == other, f"it answers under id {bench.module}, not {other}"
         )
     finally:
-        await bench.ask(Verb.DISCARD)
+        await bench.request(Verb.DISCARD)
         await write(bench, {"module_id": before})
 
 
@@ -183,11 +183,13 @@ async def factory_reset(bench: Bench) -> None:
     kept = await backup(bench)
     await _stage(bench, "label", _LABEL)
     await _commit(bench)
-    answer = await bench.ask(Verb.FACTORY_RESET, arguments=b"FACT")  # the right letters, the wrong way round
+    answer = await bench.request(
+        Verb.FACTORY_RESET, arguments=b"FACT"
+    )  # the right letters, the wrong way round
     demand_result(answer, Result.BAD_ARGUMENTS, "FACTORY_RESET with a wrong magic")
     demand(await held(bench, "label") == encoded_setting("label", _LABEL), "a wrong magic reset the module")
     try:
-        demand_result(await bench.ask(Verb.FACTORY_RESET, 0x46414354), Result.DONE, "FACTORY_RESET")
+        demand_result(await bench.request(Verb.FACTORY_RESET, 0x46414354), Result.DONE, "FACTORY_RESET")
         reads = await held(bench, "label")
         demand(
             reads == encoded_setting("label", SETTINGS[SETTING_KEYS["label"]].factory),
@@ -206,7 +208,7 @@ async def factory_reset(bench: Bench) -> None:
 async def triggers(bench: Bench) -> None:
     """Set mode 3, and trigger another module, then this one, across the wrap and once twice."""
     before = await held(bench, "mode")
-    answer = await bench.ask(Verb.WRITE_SETTING, SETTING_KEYS["mode"], bytes([3]))
+    answer = await bench.request(Verb.WRITE_SETTING, SETTING_KEYS["mode"], bytes([3]))
     if answer is not None and answer.result == Result.NOT_SUPPORTED:
         raise SkippedError("the module has no mode 3")
     demand_result(answer, Result.DONE, "WRITE_SETTING mode=3")
@@ -215,7 +217,7 @@ async def triggers(bench: Bench) -> None:
         await asyncio.sleep(_QUIET_S)
         await _demand_samples_on_triggers(bench)
     finally:
-        await bench.ask(Verb.DISCARD)
+        await bench.request(Verb.DISCARD)
         if before is not None:
             await write(bench, {"mode": before})
 

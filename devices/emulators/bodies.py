@@ -64,6 +64,7 @@ class EmulatedBody:
 
     @property
     def n_segments(self) -> int:
+        """How many segments it has."""
         return len(self.segment_names)
 
     def path(self, segment: int) -> list[int]:

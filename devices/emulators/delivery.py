@@ -36,7 +36,9 @@ class WireEncoding(Protocol):
     """How a device's wire frames become the bytes of its link."""
 
     @property
-    def framing(self) -> Framing: ...
+    def framing(self) -> Framing:
+        """How its bytes are divided into messages."""
+        ...
 
     def encode(self, frame: WireFrame) -> bytes:
         """Return its bytes; none at all for what a language has no word for."""

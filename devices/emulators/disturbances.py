@@ -28,10 +28,14 @@ class Disturbance(Protocol):
     """Added to a module's true readings while it lasts."""
 
     @property
-    def start_s(self) -> float: ...
+    def start_s(self) -> float:
+        """True time at which it begins, s."""
+        ...
 
     @property
-    def end_s(self) -> float: ...
+    def end_s(self) -> float:
+        """True time at which it ends, s."""
+        ...
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Specific force (m/s²) and angular rate (rad/s) to add at true times (n,): two of (n, 3)."""

@@ -118,7 +118,7 @@ class EmulatedDevice:
         """Return whether its light blinks at a true time not before the last ``advance``, s."""
         return self.is_on and at_s < self._blinks_until_s
 
-    def hear(self, at_s: float, received: ReceivedPacket) -> None:
+    def receive(self, at_s: float, received: ReceivedPacket) -> None:
         """Let a packet from the host reach the device at a true time, s.
 
         When that time has passed already, it is obeyed late, but clocks are reported, and samples triggered,
@@ -275,7 +275,7 @@ class EmulatedDevice:
             if is_meant:
                 self._obey(packet, is_for_all and packet.unique_id == ANYONE)
         elif is_addressed and isinstance(packet, SyncRequest):
-            self._tell_clock(packet.token, came_s, is_for_all)
+            self._report_clock(packet.token, came_s, is_for_all)
         elif is_addressed and isinstance(packet, SamplingTrigger):
             self._follow_trigger(packet.number, came_s)
 
@@ -299,7 +299,7 @@ class EmulatedDevice:
         self.flash.cut_power_after(None)
         self.lose_power(cut.off_s)
 
-    def _tell_clock(self, token: int, came_s: float, is_for_all: bool) -> None:
+    def _report_clock(self, token: int, came_s: float, is_for_all: bool) -> None:
         clock = self.sender.clock
         received_us = clock.count_us(clock.elapsed(came_s))
 

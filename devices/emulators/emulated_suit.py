@@ -103,7 +103,7 @@ class EmulatedSuit:
         self._conversation = source if isinstance(source, Conversation) else None
         self._source: Iterator[Transmission] = iter(()) if isinstance(source, Conversation) else iter(source)
         self._duration_s = duration_s
-        self._heard: list[tuple[bytes, float, int | None]] = []
+        self._inbox: list[tuple[bytes, float, int | None]] = []
         self._acts: list[Callable[[], None]] = []
         self._speed = speed
         self._is_byte_by_byte = is_byte_by_byte
@@ -123,7 +123,7 @@ class EmulatedSuit:
 
     async def run(self) -> None:
         """Open the transport, send everything, close it. Cancelling stops the suit at once."""
-        self.transport.listen(self._hear)
+        self.transport.listen(self._receive)
         await self.transport.open()
         try:
             if self._conversation is not None:
@@ -139,11 +139,11 @@ class EmulatedSuit:
             raise RuntimeError("the suit has not started: call run first")
         return self.start_ns
 
-    def _hear(self, data: bytes, device: int | None = None, /) -> None:
+    def _receive(self, data: bytes, device: int | None = None, /) -> None:
         self.counts.received_bytes += len(data)
         if self._conversation is not None:
             at_s = 0.0 if self.start_ns is None else self.motion_time_s(gateway_time_ns())
-            self._heard.append((data, at_s, device))
+            self._inbox.append((data, at_s, device))
 
     async def _converse(self, suit: Conversation) -> None:
         """Compute the suit step by step, each while what came of the one before is being sent."""
@@ -156,8 +156,8 @@ class EmulatedSuit:
         try:
             while now_s < end_s:
                 now_s = await self._time_of_next_step(now_s, end_s)
-                heard, self._heard = self._heard, []
-                for data, at_s, device in heard:
+                received, self._inbox = self._inbox, []
+                for data, at_s, device in received:
                     suit.receive(data, at_s, device)
                 acts, self._acts = self._acts, []
                 for act in acts:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import struct
 from collections.abc import Callable, Collection
 from enum import IntEnum
@@ -17,6 +18,7 @@ import numpy as np
 
 from devices.marker_files import MarkerTrial
 
+_log = logging.getLogger(__name__)
 _HEADER = struct.Struct("<II")  # size of the whole packet, its type
 _DATA = struct.Struct("<qII")  # instant µs, number of the frame, number of components
 _COMPONENT = struct.Struct("<IIIHH")  # size, type, markers, ‰ dropped, ‰ out of step
@@ -132,7 +134,7 @@ class QtmStandIn:
         for writer in list(self._clients):
             writer.transport.abort()
 
-    def tell(self, event: int) -> None:
+    def send_event(self, event: int) -> None:
         """Send an event to everybody."""
         for writer in self._clients:
             writer.write(packet(Kind.EVENT, bytes([event])))
@@ -148,11 +150,11 @@ class QtmStandIn:
             writer.write(packet(Kind.COMMAND, b"QTM RT Interface connected\0"))
             while True:
                 size, _ = _HEADER.unpack(await reader.readexactly(_HEADER.size))
-                asked = await reader.readexactly(size - _HEADER.size)
-                self._answer(writer, asked.rstrip(b"\0").decode().lower().split())
+                request = await reader.readexactly(size - _HEADER.size)
+                self._answer(writer, request.rstrip(b"\0").decode().lower().split())
                 await writer.drain()
         except (asyncio.IncompleteReadError, ConnectionError):
-            pass  # the client is gone
+            _log.debug("a client has hung up")
         finally:
             self._clients.discard(writer)
             self._end_stream(writer)
@@ -160,7 +162,7 @@ class QtmStandIn:
 
     def _answer(self, writer: asyncio.StreamWriter, words: list[str]) -> None:
         match words:
-            case ["version", version] if self._knows(version):
+            case ["version", version] if self._supports(version):
                 writer.write(packet(Kind.COMMAND, f"Version set to {version}\0".encode()))
             case ["version", _]:
                 writer.write(packet(Kind.ERROR, b"Version NOT supported\0"))
@@ -178,12 +180,12 @@ class QtmStandIn:
             case _:
                 writer.write(packet(Kind.ERROR, b"Parse error\0"))
 
-    def _knows(self, version: str) -> bool:
+    def _supports(self, version: str) -> bool:
         major, _, minor = version.partition(".")
         return major == "1" and minor.isdigit() and int(minor) <= self._newest
 
     async def _play(self, writer: asyncio.StreamWriter, trial: MarkerTrial) -> None:
-        with contextlib.suppress(ConnectionError):
+        with contextlib.suppress(ConnectionError):  # who has hung up is served no more: see _serve
             await self._play_once(writer, trial)
             while self._repeats:
                 await self._play_once(writer, trial)

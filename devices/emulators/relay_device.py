@@ -45,9 +45,9 @@ class RelayDevice(EmulatedDevice):
         """Take what the modules sent before the true time ``to_s``; give what the relay sends before it."""
         self._gathered = deque(sorted(packets, key=attrgetter("time_s")))
         own, _ = self.advance(to_s)
-        heard = [timed for timed in packets if not self._was_off(timed.time_s)]
-        urgent = [timed for timed in heard if timed.frame.kind in _URGENT]
-        batches = self._batches.gather([t for t in heard if t.frame.kind not in _URGENT], to_s)
+        received = [timed for timed in packets if not self._was_off(timed.time_s)]
+        urgent = [timed for timed in received if timed.frame.kind in _URGENT]
+        batches = self._batches.gather([t for t in received if t.frame.kind not in _URGENT], to_s)
         return sorted(own + urgent + batches, key=attrgetter("time_s"))
 
     def start(self) -> None:

@@ -10,7 +10,7 @@ from devices.emulators.delivery import Encoding
 from devices.emulators.ideal_sensors import GRAVITY, MAGNETIC_FIELD
 from devices.emulators.light_sampler import Sunlight
 from devices.emulators.sample_encoding import SENSORS
-from devices.emulators.voice import Voice
+from devices.emulators.vendor_emulator import VendorEmulator
 from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S
 
 
@@ -39,7 +39,7 @@ class SuitSettings:
     has_card: bool = True
     """The relay has a memory card."""
     encoding: Encoding = field(default_factory=Encoding)
-    voice: Callable[[int], Voice] | None = None
+    emulator: Callable[[int], VendorEmulator] | None = None
     """Language of another maker that the inertial modules speak, by number, each on a link of its own."""
     stored_ids: Mapping[int, int] = field(default_factory=dict)
     """Ids that devices have stored, by number, where they differ: swapped modules, or two of one id."""

@@ -31,7 +31,7 @@ from devices.emulators.sampling import Sampling
 from devices.emulators.sender import Sender, Timed
 from devices.emulators.suit_devices import AIR, HOST, RADIO, UPLINK, SuitParts
 from devices.emulators.suit_settings import SuitSettings
-from devices.emulators.voice import Voice
+from devices.emulators.vendor_emulator import VendorEmulator
 from devices.link import Framing
 from firmware_protocol import RELAY, SamplingTrigger
 
@@ -103,9 +103,9 @@ class SuitTraffic:
         # Whatever the host says while it is out of range is lost.
         if any(start_s <= at_s < end_s for start_s, end_s in self._host_absences):
             return
-        if not self.voices:
+        if not self.emulators:
             self.from_host.receive(data, at_s, None if device == RELAY else device)
-        for number in self.voices if device is None else {device} & self.voices.keys():
+        for number in self.emulators if device is None else {device} & self.emulators.keys():
             self.devices[number].happen(at_s, partial(self._answer, number, data, at_s))
 
     def advance(self, to_s: float) -> list[Transmission]:
@@ -117,9 +117,9 @@ class SuitTraffic:
                 if addressee not in (None, number):
                     continue
                 radio = self._to_devices[number]
-                heard = radio.arrivals(at_s) if on_air_s is None else radio.receptions(on_air_s)
-                for arrival_s in heard:
-                    device.hear(arrival_s, received)
+                arrivals = radio.arrivals(at_s) if on_air_s is None else radio.receptions(on_air_s)
+                for arrival_s in arrivals:
+                    device.receive(arrival_s, received)
 
         on_air = [
             (number, self._faults[number].apply(sorted(sent, key=attrgetter("time_s"))))
@@ -186,7 +186,7 @@ class SuitTraffic:
     def _answer(self, number: int, data: bytes, at_s: float) -> None:
         """Have a device of another maker obey, in its own words."""
         device = self.devices[number]
-        answer = self.voices[number].hear(data, device) if device.is_on else b""
+        answer = self.emulators[number].receive(data, device) if device.is_on else b""
         if answer:
             arrives_s = self._deliveries[number].follow(max(at_s, self._now_s) + _ANSWERS_AFTER_S)
             heapq.heappush(self._pending, (arrives_s, self._order, answer, number))
@@ -254,12 +254,14 @@ class SuitTraffic:
         self.from_host = FromHost(self.framing)
         """What the host has said; its decoder counts what came damaged."""
         self._faults = {i: PacketFaults(imperfections, parts.random(i, RADIO), self.counts) for i in modules}
-        speaks = settings.voice
-        self.voices: dict[int, Voice] = {} if speaks is None else {i: speaks(i) for i in self._inertial}
+        make = settings.emulator
+        self.emulators: dict[int, VendorEmulator] = (
+            {} if make is None else {i: make(i) for i in self._inertial}
+        )
         """Of modules that speak as another maker's."""
         self._deliveries = {
             i: Delivery(
-                imperfections, self.voices.get(i, settings.encoding), parts.random(i, HOST), self.counts
+                imperfections, self.emulators.get(i, settings.encoding), parts.random(i, HOST), self.counts
             )
             for i in (*modules, RELAY)
         }

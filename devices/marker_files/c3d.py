@@ -38,10 +38,12 @@ class C3DLayout:
 
     @property
     def value_bytes(self) -> int:
+        """Bytes of one number: 4 of a float, 2 of an integer."""
         return 4 if self.scale < 0 else 2
 
     @property
     def frame_bytes(self) -> int:
+        """Bytes of one frame, points and analog samples."""
         return (4 * self.n_points + self.analog_per_frame) * self.value_bytes
 
 

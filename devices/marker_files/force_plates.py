@@ -173,8 +173,8 @@ def _axes(corners: FloatArray, where: str) -> FloatArray:
     y = corners[0] + corners[1] - corners[2] - corners[3]
     z = np.cross(x, y)
     if not np.linalg.norm(z) > _LEAST_SURFACE_M2:
-        told = "; ".join(" ".join(f"{value:g}" for value in corner) for corner in corners)
-        raise FormatError(f"{where}: FORCE_PLATFORM:CORNERS make no rectangle ({told} m): correct the file")
+        listed = "; ".join(" ".join(f"{value:g}" for value in corner) for corner in corners)
+        raise FormatError(f"{where}: FORCE_PLATFORM:CORNERS make no rectangle ({listed} m): correct the file")
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
     # Corners are measured and no exact rectangle: y is made square to x.
     return np.stack([x, np.cross(z, x), z], axis=1)

@@ -107,8 +107,8 @@ def _time_notes(times: list[float], rate_hz: float, path: Path) -> list[str]:
         return []
     usual = float(np.median(steps))
     if not 1.0 - _SAME_RATE < usual * rate_hz < 1.0 + _SAME_RATE:
-        told = f"{1.0 / usual:.4g} frames a second" if usual > 0 else "no rate"
-        return [f"{path}: its times tell {told}, DataRate in line 3 {rate_hz:g}: DataRate counts"]
+        measured = f"{1.0 / usual:.4g} frames a second" if usual > 0 else "no rate"
+        return [f"{path}: its times tell {measured}, DataRate in line 3 {rate_hz:g}: DataRate counts"]
     odd = np.flatnonzero(np.abs(steps - usual) > 0.5 * usual)
     if len(odd):
         return [

@@ -35,10 +35,12 @@ class MarkerTrial:
 
     @property
     def n_frames(self) -> int:
+        """How many frames were captured."""
         return len(self.positions)
 
     @property
     def duration_s(self) -> float:
+        """How long the trial lasts, s."""
         return self.n_frames / self.rate_hz
 
     def columns(self, labels: tuple[str, ...]) -> FloatArray:

@@ -120,9 +120,9 @@ def _read(path: Path, *, partial: bool) -> _Motion:
         raise FormatError(f"{path}: not a BVH file, or cut off: it {what}")
     joints = _hierarchy(lines[1:at], path)
     head = " ".join(lines[at + 1 : at + 3])
-    told = re.search(r"Frames:\s*(\d+)\s+Frame Time:\s*([-+.\deE]+)", head)
-    seconds = float(told[2]) if told and re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", told[2]) else 0.0
-    if told is None or not 0 < seconds < 60:
+    header = re.search(r"Frames:\s*(\d+)\s+Frame Time:\s*([-+.\deE]+)", head)
+    seconds = float(header[2]) if header and re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", header[2]) else 0.0
+    if header is None or not 0 < seconds < 60:
         raise FormatError(
             f"{path}: line {at + 2}: 'Frames: N' and 'Frame Time: SECONDS' are wanted behind MOTION"
         )
@@ -133,8 +133,8 @@ def _read(path: Path, *, partial: bool) -> _Motion:
         lines, at + 3, sum(len(joint.channels) for joint in joints), path, partial=partial
     )
 
-    if len(values) != int(told[1]):
-        notes += (f"{path}: {len(values)} frames, of which 'Frames:' tells {told[1]}: all that are there",)
+    if len(values) != int(header[1]):
+        notes += (f"{path}: {len(values)} frames, of which 'Frames:' tells {header[1]}: all that are there",)
     if len(values) < 2:
         raise FormatError(f"{path}: {len(values)} frames: a motion needs two at least")
     return _Motion(joints, values, checked_rate(rate_hz, path), notes)

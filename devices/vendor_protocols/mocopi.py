@@ -123,11 +123,11 @@ class MocopiDecoder:
             inner = dict(_fields(parts[b"fram"]))
             (number,), (time_ms,) = struct.unpack("<I", inner[b"fnum"]), struct.unpack("<I", inner[b"time"])
             bones = [dict(_fields(value)) for name, value in _fields(inner[b"btrs"]) if name == b"btdt"]
-            told = [(struct.unpack("<H", b[b"bnid"])[0], _TRANSFORM.unpack(b[b"tran"])) for b in bones]
+            transforms = [(struct.unpack("<H", b[b"bnid"])[0], _TRANSFORM.unpack(b[b"tran"])) for b in bones]
         except (ValueError, KeyError, struct.error):
             self.dropped["bad_field"] += 1
             return None
-        for _, values in told:
+        for _, values in transforms:
             why = fault(values, _GATES) or _norm_fault(values)
             if why is not None:
                 self.dropped[why] += 1
@@ -136,7 +136,7 @@ class MocopiDecoder:
             # Sony sends x y z w; orientations are w x y z here.
             number,
             time_ms,
-            tuple((n, (v[3], v[0], v[1], v[2]), (v[4], v[5], v[6])) for n, v in told),
+            tuple((n, (v[3], v[0], v[1], v[2]), (v[4], v[5], v[6])) for n, v in transforms),
         )
 
 

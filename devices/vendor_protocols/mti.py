@@ -261,9 +261,9 @@ def _length(rest: bytes) -> int | None:
         return rest[3] + 5
     if len(rest) < 6:
         return None
-    told = int.from_bytes(rest[4:6], "big")
+    length = int.from_bytes(rest[4:6], "big")
     # A longer message would make us wait for bytes that never come.
-    return told + 7 if told <= LONGEST else 0
+    return length + 7 if length <= LONGEST else 0
 
 
 class CanItem(NamedTuple):

@@ -286,11 +286,11 @@ def _norm_fault(values: Sequence[float], place: int | None) -> str | None:
 
 def _length(rest: bytes) -> int | None:
     """Return the bytes of the datagram that begins here; None: none does."""
-    _, kind, _, _, n_items, _, _, _, _, _, _, told = _HEAD.unpack_from(rest)
+    _, kind, _, _, n_items, _, _, _, _, _, _, length = _HEAD.unpack_from(rest)
     layout = LAYOUTS.get(kind)
     if layout is not None:
         size = n_items * layout.form.size
-        return _HEAD.size + size if told in (0, size) else None  # older versions do not say it
-    if not told and kind in (META, TIME_CODE) and len(rest) >= _HEAD.size + 4:
-        told = 4 + int.from_bytes(rest[_HEAD.size : _HEAD.size + 4], "big")
-    return _HEAD.size + told if kind.isalnum() and told <= LONGEST else None
+        return _HEAD.size + size if length in (0, size) else None  # older versions do not say it
+    if not length and kind in (META, TIME_CODE) and len(rest) >= _HEAD.size + 4:
+        length = 4 + int.from_bytes(rest[_HEAD.size : _HEAD.size + 4], "big")
+    return _HEAD.size + length if kind.isalnum() and length <= LONGEST else None

@@ -394,11 +394,11 @@ def encode_bundle(number: int, parts: Iterable[tuple[int, bytes]]) -> bytes:
     return encode(Kind.BUNDLE, number, b"".join(struct.pack(">H", len(part)) + part for part in each))
 
 
-def handshake(told: Handshake) -> bytes:
+def handshake(sent: Handshake) -> bytes:
     """Return the payload of a handshake."""
-    text = told.firmware.encode("ascii")
-    numbers = (told.board, told.imu, told.mcu, 0, 0, 0, told.version, len(text))
-    return struct.pack(">7IB", *numbers) + text + bytes.fromhex(told.mac or "00" * 6)
+    text = sent.firmware.encode("ascii")
+    numbers = (sent.board, sent.imu, sent.mcu, 0, 0, 0, sent.version, len(text))
+    return struct.pack(">7IB", *numbers) + text + bytes.fromhex(sent.mac or "00" * 6)
 
 
 def rotation_data(sensor: int, orientation: Quaternion) -> bytes:
@@ -419,14 +419,14 @@ def rotation_and_acceleration(sensor: int, orientation: Quaternion, linear: Vect
     return struct.pack(">B7h", sensor, *turned, *(_short(part * _Q7) for part in linear))
 
 
-def sensor_info(told: SensorInfo) -> bytes:
+def sensor_info(info: SensorInfo) -> bytes:
     """Return the payload in which a sensor presents itself."""
-    return struct.pack(">3BH3B", told.sensor, told.state, told.imu, told.settings, 0, 0, 0)
+    return struct.pack(">3BH3B", info.sensor, info.state, info.imu, info.settings, 0, 0, 0)
 
 
-def battery(told: Battery) -> bytes:
+def battery(charge: Battery) -> bytes:
     """Return the payload of a battery."""
-    return struct.pack(">2f", told.voltage, told.share)
+    return struct.pack(">2f", charge.voltage, charge.share)
 
 
 def signal(dbm: int) -> bytes:
@@ -434,14 +434,14 @@ def signal(dbm: int) -> bytes:
     return struct.pack(">Bb", ALL_SENSORS, dbm)
 
 
-def temperature(told: Temperature) -> bytes:
+def temperature(measured: Temperature) -> bytes:
     """Return the payload of a temperature."""
-    return struct.pack(">Bf", told.sensor, told.celsius)
+    return struct.pack(">Bf", measured.sensor, measured.celsius)
 
 
-def setting_done(told: SettingDone) -> bytes:
+def setting_done(done: SettingDone) -> bytes:
     """Return the payload that says a setting was taken."""
-    return struct.pack(">BH", told.sensor, told.setting)
+    return struct.pack(">BH", done.sensor, done.setting)
 
 
 def _short(value: float) -> int:

@@ -38,7 +38,7 @@ class TrackerSession:
 
     def __init__(self, identity: Handshake, sensors: Sequence[SensorInfo]) -> None:
         self.is_connected = False
-        """The server has greeted it, and is heard."""
+        """The server has greeted it, and its messages come."""
         self.connections = 0
         """Greetings so far."""
         self.pings = 0
@@ -49,19 +49,19 @@ class TrackerSession:
         self._acknowledged: dict[int, int] = {}
         self._features = 0
         self._number = 0
-        self._heard_s = self._asked_s = self._presented_s = float("-inf")
+        self._received_s = self._requested_s = self._presented_s = float("-inf")
 
-    def hear(self, datagram: bytes, now_s: float) -> list[bytes]:
+    def receive(self, datagram: bytes, now_s: float) -> list[bytes]:
         """Take what came from the server; return what to answer."""
-        heard = read_from_server(datagram)
-        if heard is None or not (self.is_connected or isinstance(heard, Greeting)):
+        message = read_from_server(datagram)
+        if message is None or not (self.is_connected or isinstance(message, Greeting)):
             return []
-        self._heard_s = now_s
-        if isinstance(heard, Greeting):
+        self._received_s = now_s
+        if isinstance(message, Greeting):
             self.connections += not self.is_connected
             self.is_connected = True
             return [self._datagram(Kind.FEATURES, _FEATURES)]
-        return self._answer(heard, datagram)
+        return self._answer(message, datagram)
 
     @property
     def takes_bundles(self) -> bool:
@@ -70,11 +70,11 @@ class TrackerSession:
 
     def due(self, now_s: float) -> bytes | None:
         """Return a handshake, if one is to be sent by now."""
-        if self.is_connected and now_s - self._heard_s > PATIENCE_S:
+        if self.is_connected and now_s - self._received_s > PATIENCE_S:
             self.is_connected = False
-        if self.is_connected or now_s - self._asked_s < RETRY_S:
+        if self.is_connected or now_s - self._requested_s < RETRY_S:
             return None
-        self._asked_s, self._presented_s = now_s, float("-inf")
+        self._requested_s, self._presented_s = now_s, float("-inf")
         self._number = self._features = 0
         self._acknowledged.clear()
         return encode(Kind.HANDSHAKE, 0, handshake(self._identity))
@@ -108,16 +108,16 @@ class TrackerSession:
             rest = rest[count:]
         return found
 
-    def _answer(self, heard: FromServer, datagram: bytes) -> list[bytes]:
-        if heard.kind == Kind.PING:
+    def _answer(self, message: FromServer, datagram: bytes) -> list[bytes]:
+        if message.kind == Kind.PING:
             self.pings += 1
             return [datagram]
-        if heard.kind == Kind.ROTATION:  # the server's heartbeat
+        if message.kind == Kind.ROTATION:  # the server's heartbeat
             return [self._datagram(Kind.HEARTBEAT)]
-        if heard.kind == Kind.FEATURES:
-            self._features = int.from_bytes(heard.payload[:4], "little")
-        elif heard.kind == Kind.SENSOR_INFO and len(heard.payload) == 2:
-            self._acknowledged[heard.payload[0]] = heard.payload[1]
+        if message.kind == Kind.FEATURES:
+            self._features = int.from_bytes(message.payload[:4], "little")
+        elif message.kind == Kind.SENSOR_INFO and len(message.payload) == 2:
+            self._acknowledged[message.payload[0]] = message.payload[1]
         return []
 
     def _datagram(self, kind: int, payload: bytes = b"") -> bytes:

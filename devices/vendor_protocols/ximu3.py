@@ -243,12 +243,12 @@ class Ximu3Decoder:
 def _single_pair(message: bytes) -> tuple[str, Any] | None:
     """Return key and value of JSON that has one; None for anything else."""
     try:
-        told = json.loads(message)
+        content = json.loads(message)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(told, dict) or len(told) != 1:
+    if not isinstance(content, dict) or len(content) != 1:
         return None
-    return next(iter(told.items()))
+    return next(iter(content.items()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +269,7 @@ class Announcement:
 
 def encode_announcement(announced: Announcement) -> bytes:
     """Return the datagram in which a device announces itself."""
-    told = {
+    content = {
         "name": announced.name,
         "sn": announced.serial_number,
         "ip": announced.address,
@@ -280,16 +280,16 @@ def encode_announcement(announced: Announcement) -> bytes:
         "battery": announced.battery_percent,
         "status": 0,
     }
-    return json.dumps(told, separators=(",", ":")).encode()
+    return json.dumps(content, separators=(",", ":")).encode()
 
 
 def read_announcement(data: bytes) -> Announcement | None:
     """Return what a datagram on the discovery port announces; None for one that is no announcement."""
     try:
-        told = json.loads(data)
-        ports = [int(told[key]) for key in ("port", "send", "receive")]
-        levels = [_level(told.get(key)) for key in ("battery", "rssi")]
-        words = [str(told["name"]), str(told["sn"]), str(ipaddress.ip_address(told["ip"]))]
+        content = json.loads(data)
+        ports = [int(content[key]) for key in ("port", "send", "receive")]
+        levels = [_level(content.get(key)) for key in ("battery", "rssi")]
+        words = [str(content["name"]), str(content["sn"]), str(ipaddress.ip_address(content["ip"]))]
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         return None
     if not all(0 <= port < 2**16 for port in ports) or not all(0 < len(word) <= 64 for word in words):
@@ -297,5 +297,5 @@ def read_announcement(data: bytes) -> Announcement | None:
     return Announcement(words[0], words[1], words[2], ports[0], ports[1], ports[2], levels[0], levels[1])
 
 
-def _level(told: object) -> int | None:
-    return round(float(told)) if isinstance(told, int | float) else None
+def _level(value: object) -> int | None:
+    return round(float(value)) if isinstance(value, int | float) else None

@@ -5,6 +5,7 @@ python subscribe.py --host 127.0.0.1 --port 1883 --count 10
 
 import argparse
 import asyncio
+import contextlib
 import json
 import math
 
@@ -42,9 +43,8 @@ if __name__ == "__main__":
     parser.add_argument("--count", type=int, default=-1, help="end after so many poses")
     options = parser.parse_args()
     try:
-        asyncio.run(main(options.host, options.port, options.count))
-    except KeyboardInterrupt:
-        pass  # Ctrl-C is how it is ended
+        with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C is how it is ended
+            asyncio.run(main(options.host, options.port, options.count))
     except aiomqtt.MqttError as error:
         raise SystemExit(
             f"no broker at {options.host}:{options.port} ({error}): start the gateway first"

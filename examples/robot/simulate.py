@@ -7,6 +7,7 @@ damping, as strong as the URDF says. When nothing has come for five seconds it s
 """
 
 import argparse
+import contextlib
 import json
 import socket
 from pathlib import Path
@@ -77,13 +78,16 @@ class Simulated:
 
 
 def poses(port):
-    """Datagrams until nothing comes for five seconds."""
+    """Yield datagrams until nothing comes for five seconds."""
     receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 23)  # pictures take longer than poses
     receiver.bind(("127.0.0.1", port))
     print(f"listening on {port}", flush=True)
     while True:
-        yield json.loads(receiver.recv(65536))
+        try:
+            yield json.loads(receiver.recv(65536))
+        except TimeoutError:  # the motion has ended
+            return
         receiver.settimeout(5)
 
 
@@ -100,7 +104,7 @@ def main():
     robot, pictures, camera = Simulated(model_of(asked.urdf)), [], mujoco.MjvCamera()
     renderer = mujoco.Renderer(robot.model, *SIZE) if asked.film else None
     camera.distance, camera.azimuth, camera.elevation, camera.lookat = 1.8, asked.azimuth, -8, [0, 0, 0.5]
-    try:
+    with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C ends the motion; what came until then is reported
         for pose in poses(asked.port):
             robot.follow(pose)
             if renderer and robot.data.time >= len(pictures) * PICTURE_S:
@@ -108,8 +112,8 @@ def main():
                 pictures.append(renderer.render())
             if robot.data.time >= asked.seconds:
                 break
-    except (TimeoutError, KeyboardInterrupt):
-        pass
+    if not robot.errors:
+        raise SystemExit("no pose came: start the gateway with the output of examples/README.md first")
     if pictures:
         from PIL import Image  # noqa: PLC0415 - for films alone
 

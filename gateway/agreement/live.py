@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 
 from gateway.agreement.agreement import Agreement
-from gateway.agreement.tracks import TELLING, Tracks
+from gateway.agreement.tracks import OBSERVED, Tracks
 from gateway.contract.messages import (
     STATUS_NAMES,
     BodyMessage,
@@ -19,7 +19,7 @@ from gateway.contract.messages import (
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 
-_MEASURED = frozenset(STATUS_NAMES[status] for status in TELLING)
+_MEASURED = frozenset(STATUS_NAMES[status] for status in OBSERVED)
 
 
 class PoseWindow:

@@ -113,24 +113,24 @@ def _without_excess(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _by_agreement(a: FloatArray, b: FloatArray, shift: int) -> tuple[FloatArray, FloatArray]:
-    """Angular speeds (T, S) of both, each segment scaled to have a say by how well the two agree on it where
+    """Angular speeds (T, S) of both, each segment weighted by how well the two agree on it where
     b is ``shift`` samples later: r² / (1 − r²), as its own lag is known.
 
     A few segments that one of the two hardly knows would otherwise move the lag of all by milliseconds.
     """
     begin, end = max(0, -shift), min(len(a), len(b) - shift)
     x, y = a[begin:end], b[begin + shift : end + shift]
-    says, spreads = np.zeros(a.shape[1]), np.ones((2, a.shape[1]))
+    weights, spreads = np.zeros(a.shape[1]), np.ones((2, a.shape[1]))
     for s in range(a.shape[1]):
         known = np.isfinite(x[:, s]) & np.isfinite(y[:, s])
         if known.any():
             spreads[:, s] = np.std(x[known, s]), np.std(y[known, s])
             covariance = np.mean((x[known, s] - x[known, s].mean()) * (y[known, s] - y[known, s].mean()))
             r = covariance / max(float(np.prod(spreads[:, s])), 1e-12)
-            says[s] = r * r / (1.0 - min(r, _CLOSEST) ** 2) if r > 0.0 else 0.0
-    if not says.any():
+            weights[s] = r * r / (1.0 - min(r, _CLOSEST) ** 2) if r > 0.0 else 0.0
+    if not weights.any():
         return a, b
-    scales = np.sqrt(says) / np.maximum(spreads, 1e-9)
+    scales = np.sqrt(weights) / np.maximum(spreads, 1e-9)
     return a * scales[0], b * scales[1]
 
 

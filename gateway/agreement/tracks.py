@@ -12,7 +12,7 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray, Status
 from gateway.recording.arrays import SkeletonArrays
 
-TELLING = (Status.MEASURED, Status.INTERPOLATED, Status.UNAIDED)
+OBSERVED = (Status.MEASURED, Status.INTERPOLATED, Status.UNAIDED)
 """Of an orientation that was seen: others say nothing against or for another source."""
 LONGEST_GAP_S = 0.1
 """What is not known for longer is not interpolated."""
@@ -54,7 +54,7 @@ def tracks_of(arrays: SkeletonArrays, origin_ns: int, source: str) -> Tracks:
         names=arrays.segment_names,
         parents=tuple(arrays.skeleton.parents.tolist()),
         time_s=time_s,
-        q_wb=np.where(np.isin(arrays.status[kept], TELLING)[..., None], arrays.q_wb[kept], np.nan),
+        q_wb=np.where(np.isin(arrays.status[kept], OBSERVED)[..., None], arrays.q_wb[kept], np.nan),
         p_w=arrays.p_w[kept],
     )
 

@@ -26,7 +26,7 @@ from gateway.recording import SkeletonArrays
 from gateway.recording.exporters.axes import Axes
 from gateway.recording.exporters.take import take_of
 
-Tell = Callable[[str], Callable[[int, int], None]]
+ProgressOf = Callable[[str], Callable[[int, int], None]]
 """What is begun, to what is then told how far it is."""
 
 
@@ -60,6 +60,7 @@ class Analysis:
 
     @property
     def time_s(self) -> FloatArray:
+        """(T,) instants since the first frame, s."""
         return self.motion.time_s
 
     @property
@@ -101,7 +102,7 @@ def analyse(
     gravity: FloatArray,
     cutoff_hz: float | None,
     measured: MeasuredForces | None = None,
-    tell: Tell | None = None,
+    progress: ProgressOf | None = None,
 ) -> Analysis:
     """Analyse everything but muscles. measured: None where the floor's forces are to be estimated.
 
@@ -112,7 +113,7 @@ def analyse(
     take = take_of(arrays, name, Axes.Z_UP)
     root = int(np.flatnonzero(arrays.skeleton.parents < 0)[0])
     motion = smooth_motion(arrays.skeleton, take.time_s, take.q_wb, take.p_w[:, root], cutoff_hz)
-    found = analyse_motion(motion, name, inertia, gravity, measured, tell)
+    found = analyse_motion(motion, name, inertia, gravity, measured, progress)
     return replace(found, notes=(*found.notes, *_fill_notes(take.filled)))
 
 
@@ -122,13 +123,14 @@ def analyse_motion(
     inertia: BodyInertia,
     gravity: FloatArray,
     measured: MeasuredForces | None = None,
-    tell: Tell | None = None,
+    progress: ProgressOf | None = None,
 ) -> Analysis:
     """Analyse a motion that is smooth already, as ``analyse`` does."""
-    progress_of = tell or (lambda _: lambda _done, _total: None)
+    progress_of = progress or (lambda _: lambda _done, _total: None)
     skeleton = motion.skeleton
-    progress = progress_of("inverse dynamics without the floor")
-    free = inverse_dynamics(motion, inertia, gravity, progress=progress)
+    free = inverse_dynamics(
+        motion, inertia, gravity, progress=progress_of("inverse dynamics without the floor")
+    )
     known = None
     if measured is not None:
         known = measured_floor(measured.plates, measured.vertical, motion, free, motion.cutoff_hz)
@@ -148,7 +150,11 @@ def analyse_motion(
 
 
 def _floor(
-    motion: SmoothMotion, free: Dynamics, known: FloorForces | None, inertia: BodyInertia, progress_of: Tell
+    motion: SmoothMotion,
+    free: Dynamics,
+    known: FloorForces | None,
+    inertia: BodyInertia,
+    progress_of: ProgressOf,
 ) -> FloorForces:
     """Measured where it was, estimated elsewhere if the body is whole, has feet, and the floor is level."""
     on = feet(motion.skeleton)

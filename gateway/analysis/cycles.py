@@ -35,14 +35,17 @@ class Stride(NamedTuple):
 
     @property
     def duration_s(self) -> float:
+        """From one foot contact to the next of the same foot, s."""
         return self.end_s - self.start_s
 
     @property
     def stance_percent(self) -> float:
+        """Share of the stride in which the foot is on the ground, %."""
         return 100.0 * (self.off_s - self.start_s) / self.duration_s
 
     @property
     def speed_m_per_s(self) -> float:
+        """Mean walking speed over the stride, m/s."""
         return self.length_m / self.duration_s
 
     def percent_at(self, time_s: float) -> float:

@@ -72,14 +72,14 @@ class LiveMuscles:
         if not self._poses or self._poses[0][0] > self._poses[-1][0] - SPAN_S:
             return None
         motion = smooth_motion(self._skeleton, *self._on_grid(), DEFAULT_CUTOFF_HZ)
-        told = slice(GRID - 1 - LAG, None)
-        dynamics = self._dynamics(motion, told)
-        angles = joint_angles(self._skeleton, motion.part(told).orientations())
+        reported = slice(GRID - 1 - LAG, None)
+        dynamics = self._dynamics(motion, reported)
+        angles = joint_angles(self._skeleton, motion.part(reported).orientations())
         axes = angle_axes(self._skeleton, angles, dynamics.rotation_wb)
         torques = joint_torques(self._skeleton, axes, dynamics.moment)
         knees = knee_flexion(self._skeleton, angles)
         then = {side: float(flexion[0]) for side, flexion in knees.items()}
-        self._paths.place(motion.root[told.start], motion.rotation[told.start], then)
+        self._paths.place(motion.root[reported.start], motion.rotation[reported.start], then)
         arms = moment_arms(self._paths, self._asked, dynamics.rotation_wb[0], axes[0], then)
         wanted = np.array([torques[0, j, k] for j, k in self._asked])
         activity, _ = self._solver.solve(arms, wanted, np.zeros(len(self._largest)))
@@ -92,12 +92,12 @@ class LiveMuscles:
         self._paths.place(root, relative(self._skeleton, q_wb[None])[0], flexion)
         return self._paths.polylines()
 
-    def _dynamics(self, motion: SmoothMotion, told: slice) -> Dynamics:
-        """Of the instants that are told, the first of them with the floor's forces."""
+    def _dynamics(self, motion: SmoothMotion, reported: slice) -> Dynamics:
+        """Of the instants that are reported, the first of them with the floor's forces."""
         free = inverse_dynamics(motion, self._inertia, GRAVITY)
-        instant = range(told.start, told.start + 1)
-        floor = estimated_floor(motion, free, instants=instant).part(told)
-        return inverse_dynamics(motion.part(told), self._inertia, GRAVITY, floor)
+        instant = range(reported.start, reported.start + 1)
+        floor = estimated_floor(motion, free, instants=instant).part(reported)
+        return inverse_dynamics(motion.part(reported), self._inertia, GRAVITY, floor)
 
     def _on_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Times (GRID,), q_wb (GRID, S, 4), root (GRID, 3), laid between the poses that came."""

@@ -58,6 +58,7 @@ class Skeleton:
 
     @property
     def n_segments(self) -> int:
+        """How many segments the body has."""
         return len(self.segment_names)
 
     def index(self, segment: str) -> int:

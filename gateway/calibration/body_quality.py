@@ -15,9 +15,9 @@ from gateway.calibration.procedure import pose_rotation
 from gateway.calibration.quality import Finding, Quality, graded, judged
 from gateway.frames import FloatArray
 
-SPOKEN = {"n_pose": "the N-pose", "t_pose": "the T-pose", "left_leg": "the left leg's step"}
-SPOKEN |= {"right_leg": "the right leg's step", "arms": "the arms' step", "squat": "the squat"}
-SPOKEN |= {"free": "the free movement"}
+STEP_NAMES = {"n_pose": "the N-pose", "t_pose": "the T-pose", "left_leg": "the left leg's step"}
+STEP_NAMES |= {"right_leg": "the right leg's step", "arms": "the arms' step", "squat": "the squat"}
+STEP_NAMES |= {"free": "the free movement"}
 
 _MOVED = (3.0, 10.0)  # degrees: from good to useless, as all pairs here
 _SHAKEN = (0.5, 2.0)  # m/s²
@@ -38,19 +38,19 @@ def judge_module(
     expected: names of the movements that were done and should have turned this segment.
     """
     name = found.segment.replace("_", " ")
-    findings = [*_heard(found, name), *_still(found, name), *_field(found, name)]
+    findings = [*_presence(found, name), *_still(found, name), *_field(found, name)]
     for step in sorted(expected):
         if step in found.movements:
-            findings += _movement(found.movements[step], SPOKEN[step], name)
+            findings += _movement(found.movements[step], STEP_NAMES[step], name)
     if np.isfinite(solution.sensor_to_segment[segment]).all():
         findings += _against_poses(found, solution, segment, suit, name)
         findings += _certainty(solution, segment, name)
     return judged(*findings)
 
 
-def _heard(found: ModuleFindings, name: str) -> Iterator[Finding]:
-    if found.unheard:
-        steps = ", ".join(SPOKEN[step] for step in found.unheard)
+def _presence(found: ModuleFindings, name: str) -> Iterator[Finding]:
+    if found.unreceived:
+        steps = ", ".join(STEP_NAMES[step] for step in found.unreceived)
         yield Finding(0.0, f"module {found.module} ({name}) was not heard during {steps}: is it in reach?")
     else:
         yield Finding(1.0 if found.poses else 0.0, f"{name} was in no pose: do the N-pose with all on")
@@ -65,11 +65,11 @@ def _still(found: ModuleFindings, name: str) -> Iterator[Finding]:
         moved = float(np.degrees(pose.moved_rad))
         yield Finding(
             graded(moved, *_MOVED),
-            f"{name} moved during {SPOKEN[step]} by {moved:.0f}°: stand still, and do it again",
+            f"{name} moved during {STEP_NAMES[step]} by {moved:.0f}°: stand still, and do it again",
         )
         yield Finding(
             graded(pose.shaken, *_SHAKEN),
-            f"{name} was shaken during {SPOKEN[step]} ({pose.shaken:.1f} m/s²): is it strapped tightly?",
+            f"{name} was shaken during {STEP_NAMES[step]} ({pose.shaken:.1f} m/s²): is it strapped tightly?",
         )
 
 
@@ -113,7 +113,7 @@ def _against_poses(
         limits = _OFF_POSE_ARMS if turn.any() else _OFF_POSE
         yield Finding(
             graded(off, *limits),
-            f"{name} was {off:.0f}° away from {SPOKEN[step]} by what the movements say: hold it as drawn",
+            f"{name} was {off:.0f}° away from {STEP_NAMES[step]} by what the movements say: hold it as drawn",
         )
 
 

@@ -25,7 +25,7 @@ class ModuleFindings:
     movements: dict[str, MovementAxis | None] = field(default_factory=dict)
     """By step; None: it did not turn at all."""
     earth_field: FieldHeading | None = None
-    unheard: list[str] = field(default_factory=list)
+    unreceived: list[str] = field(default_factory=list)
     """Steps during which it was silent."""
     has_no_heading: bool = False
 

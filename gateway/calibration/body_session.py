@@ -43,7 +43,7 @@ _SMALL_MOVEMENT = np.radians(20.0)
 class Liveliness:
     """What a module does at the moment."""
 
-    is_heard: bool
+    is_received: bool
     turning: float
     """Mean angular rate, rad/s."""
 
@@ -130,10 +130,11 @@ class BodySession:
         if not frames:
             return [Liveliness(False, 0.0)] * len(self._segments)
         rates = np.linalg.norm(np.stack([f.angular_rate for f in frames]), axis=2)
-        heard = np.isfinite(rates)
-        mean = np.where(heard, rates, 0.0).sum(axis=0) / np.maximum(heard.sum(axis=0), 1)
+        is_known = np.isfinite(rates)
+        mean = np.where(is_known, rates, 0.0).sum(axis=0) / np.maximum(is_known.sum(axis=0), 1)
         return [
-            Liveliness(bool(known), float(rate)) for known, rate in zip(heard.any(axis=0), mean, strict=True)
+            Liveliness(bool(known), float(rate))
+            for known, rate in zip(is_known.any(axis=0), mean, strict=True)
         ]
 
     def result(self) -> BodyResult:
@@ -166,8 +167,8 @@ class BodySession:
             span = self.spans.get((step.name, module))
             if span is None:
                 continue
-            if not readings.is_heard(module, span):
-                found.unheard.append(step.name)
+            if not readings.is_received(module, span):
+                found.unreceived.append(step.name)
             elif step.kind is Kind.POSE:
                 pose = pose_of(readings, module, span)
                 if pose is not None:
@@ -205,10 +206,12 @@ class BodySession:
         equations = self._equations(readings, {term.segment for term in poses})
         axes += self._hinges(readings, {term.segment for term in axes}, set(equations))
 
-        told = _reached({term.segment for term in axes} | set(fields), equations, skeleton.parents.tolist())
+        with_heading = _reached(
+            {term.segment for term in axes} | set(fields), equations, skeleton.parents.tolist()
+        )
         for segment, found in zip(self._segments, findings, strict=True):
-            found.has_no_heading = bool(found.poses) and segment not in told
-        poses = [term for term in poses if term.segment in told]
+            found.has_no_heading = bool(found.poses) and segment not in with_heading
+        poses = [term for term in poses if term.segment in with_heading]
         posed = {term.segment for term in poses}
         axes = [term for term in axes if term.segment in posed]
         # A module without heading gets one only by a joint that connects it to a module with a heading.
@@ -273,7 +276,7 @@ class BodySession:
             rows = np.zeros(len(readings.time_ns), dtype=bool)
             for span in spans:
                 rows[readings.rows(span)] = True
-            rows &= readings.heard[:, first] & readings.heard[:, second]
+            rows &= readings.has_sample[:, first] & readings.has_sample[:, second]
             # Fewer rows are a fraction of a movement, and would only add noise.
             if rows.sum() >= 100:
                 sides = [
@@ -315,9 +318,9 @@ class BodySession:
         return BodyResult(tuple(modules), solution.facing, solution.joints, self.done)
 
 
-def _reached(told: set[int], equations: Mapping[int, JointEquations], parents: list[int]) -> set[int]:
+def _reached(known: set[int], equations: Mapping[int, JointEquations], parents: list[int]) -> set[int]:
     """Return segments whose heading is known, or can be had from a neighbour by the joint between them."""
-    reached = set(told)
+    reached = set(known)
     for _ in equations:
         for child in equations:
             if {child, parents[child]} & reached:

@@ -228,13 +228,13 @@ def _start(problem: Problem, used: list[int]) -> tuple[float, FloatArray, FloatA
     known = [problem.fields[s][0] + right[s] for s in right if s in problem.fields]
     # Angles are averaged on the circle: 359° and 1° have the mean 0°, not 180°.
     facing = float(np.angle(np.mean(np.exp(1j * np.array(known))))) if known else 0.0
-    told = {s: facing - bearing for s, bearing in right.items()}
+    heading_of = {s: facing - bearing for s, bearing in right.items()}
     # Where the field is trusted, it is better than the assumption that axes are level.
-    told |= {s: heading for s, (heading, _) in problem.fields.items()}
-    told = _spread(told, problem)
-    if set(used) - set(told):
+    heading_of |= {s: heading for s, (heading, _) in problem.fields.items()}
+    heading_of = _spread(heading_of, problem)
+    if set(used) - set(heading_of):
         raise ValueError("a module has neither a field nor a movement that tells its heading")
-    headings = [told[s] for s in used]
+    headings = [heading_of[s] for s in used]
     wearer = Rotation.from_rotvec([0.0, 0.0, facing]).as_matrix()
     R_bs = [
         (wearer @ first[s].posture).T @ _turns(np.array([heading]))[0] @ first[s].R_es
@@ -243,9 +243,9 @@ def _start(problem: Problem, used: list[int]) -> tuple[float, FloatArray, FloatA
     return facing, np.array(headings), np.stack(R_bs)
 
 
-def _spread(told: Mapping[int, float], problem: Problem) -> dict[int, float]:
+def _spread(known: Mapping[int, float], problem: Problem) -> dict[int, float]:
     """Return headings of further modules, from neighbour to neighbour, by their joints' accelerations."""
-    found = dict(told)
+    found = dict(known)
     for _ in problem.equations:
         for child, equations in problem.equations.items():
             parent = int(problem.parents[child])

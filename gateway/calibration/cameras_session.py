@@ -19,7 +19,7 @@ from gateway.frames import FloatArray
 
 _SCENE_DOES_NOT_FIT = 10.0
 """Pixels of reprojection error; a board that cameras see at once leaves less than one."""
-Tell = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,12 @@ class CamerasResult:
     scene_pictures: tuple[tuple[BoardPicture, ...], ...]
 
 
-def board_pictures(board: Board, place: str, every: int, tell: Tell) -> list[BoardPicture]:
+def board_pictures(board: Board, place: str, every: int, progress: Progress) -> list[BoardPicture]:
     """Return every n-th picture of an image, folder or video, with the board where it is found."""
     found = []
     for name, picture, total in _pictures(place, every):
         found.append(BoardPicture(name, picture, find_board(board, picture)))
-        tell(len(found), total)
+        progress(len(found), total)
     return found
 
 
@@ -111,8 +111,8 @@ def _size(name: str, pictures: Sequence[BoardPicture]) -> tuple[int, int]:
     """Width and height, the same of all."""
     sizes = {(each.picture.shape[1], each.picture.shape[0]) for each in pictures}
     if len(sizes) != 1:
-        told = ", ".join(f"{width}×{height}" for width, height in sorted(sizes))
-        raise GatewayError(f"camera '{name}': all pictures must be of one size, these are {told or 'none'}")
+        listed = ", ".join(f"{width}×{height}" for width, height in sorted(sizes))
+        raise GatewayError(f"camera '{name}': all pictures must be of one size, these are {listed or 'none'}")
     return sizes.pop()
 
 

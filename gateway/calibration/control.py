@@ -159,8 +159,8 @@ class CalibrationControl:
             "modules": [
                 {
                     "segment": names[m],
-                    "heard": one.is_heard,
-                    "still": one.is_heard and one.turning < STILL,
+                    "heard": one.is_received,
+                    "still": one.is_received and one.turning < STILL,
                     "turning_deg_s": round(float(np.degrees(one.turning)), 1),
                 }
                 for m, one in enumerate(self._session.live())

@@ -29,17 +29,17 @@ class Readings:
     specific_force: FloatArray  # (T, M, 3) m/s²; 0 where not heard
     angular_rate: FloatArray  # (T, M, 3) rad/s, without the gyroscopes' biases
     magnetic_field: FloatArray  # (T, M, 3) µT, NaN where there is none
-    heard: BoolArray  # (T, M)
+    has_sample: BoolArray  # (T, M)
     R_es: FloatArray  # (T, M, 3, 3) sensor axes to a level world of the module's own heading
 
     def rows(self, span: Span) -> slice:
         """Return the instants of a step."""
         return slice(*np.searchsorted(self.time_ns, [span[0], span[1] + 1]).tolist())
 
-    def is_heard(self, module: int, span: Span) -> bool:
+    def is_received(self, module: int, span: Span) -> bool:
         """Return whether the module was heard through nearly all of a step."""
-        heard = self.heard[self.rows(span), module]
-        return bool(len(heard)) and float(heard.mean()) >= _FEWEST
+        has_sample = self.has_sample[self.rows(span), module]
+        return bool(len(has_sample)) and float(has_sample.mean()) >= _FEWEST
 
 
 def readings_of(frames: Sequence[ImuFrame], suit: WornSuit) -> Readings:
@@ -59,14 +59,14 @@ def readings_of(frames: Sequence[ImuFrame], suit: WornSuit) -> Readings:
     known = np.isfinite(force).all(axis=2) & np.isfinite(rate).all(axis=2) & is_new
     even_force, even_rate = (np.zeros((len(grid), n, 3)) for _ in range(2))
     even_field = np.full((len(grid), n, 3), np.nan)
-    heard = np.zeros((len(grid), n), dtype=bool)
+    has_sample = np.zeros((len(grid), n), dtype=bool)
     R_es = np.full((len(grid), n, 3, 3), np.nan)
     for m in range(n):
         rows = known[:, m]
         # So few samples are a module that has just been switched on.
         if rows.sum() < 20:
             continue
-        heard[:, m] = _near(grid, times[rows], _BRIDGED * interval_ns)
+        has_sample[:, m] = _near(grid, times[rows], _BRIDGED * interval_ns)
         even_force[:, m] = _evenly(grid, times[rows], force[rows, m])
         even_rate[:, m] = _evenly(grid, times[rows], rate[rows, m])
         with_field = rows & np.isfinite(field[:, m]).all(axis=1)
@@ -76,7 +76,7 @@ def readings_of(frames: Sequence[ImuFrame], suit: WornSuit) -> Readings:
         # The bias found over the whole recording is better than any that was known before.
         even_rate[:, m] -= solved["bias"]
         R_es[:, m] = Rotation.from_quat(solved["quat6D"], scalar_first=True).as_matrix()
-    return Readings(grid, interval_ns * 1e-9, even_force, even_rate, even_field, heard, R_es)
+    return Readings(grid, interval_ns * 1e-9, even_force, even_rate, even_field, has_sample, R_es)
 
 
 def _evenly(grid: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
@@ -103,7 +103,7 @@ class Pose:
 
 def pose_of(readings: Readings, module: int, span: Span) -> Pose | None:
     """Return None when the module was not heard."""
-    if not readings.is_heard(module, span):
+    if not readings.is_received(module, span):
         return None
     rows = readings.rows(span)
     rotations = Rotation.from_matrix(readings.R_es[rows, module])
@@ -137,7 +137,7 @@ def field_heading(
     spans = [*poses, *others]
     rows = np.concatenate([np.arange(*readings.rows(span).indices(len(readings.time_ns))) for span in spans])
     magnetic = readings.magnetic_field[rows, module]
-    known = np.isfinite(magnetic).all(axis=1) & readings.heard[rows, module]
+    known = np.isfinite(magnetic).all(axis=1) & readings.has_sample[rows, module]
     if known.sum() < 20:
         return None
 

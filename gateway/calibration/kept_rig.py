@@ -99,5 +99,5 @@ def measured(
     height_m: float | None, mass_kg: float | None, lengths: Mapping[str, float | None]
 ) -> dict[str, Any]:
     """Return the changes that these measures make: none for what is None, or not given."""
-    told = {"height_m": height_m, "mass_kg": mass_kg, "lengths": dict(lengths) or None}
-    return {name: value for name, value in told.items() if value is not None}
+    fields = {"height_m": height_m, "mass_kg": mass_kg, "lengths": dict(lengths) or None}
+    return {name: value for name, value in fields.items() if value is not None}

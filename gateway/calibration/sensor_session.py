@@ -214,16 +214,16 @@ class Advice(NamedTuple):
 
 def advice_on(session: SensorSession, progress: Mapping[int, Progress]) -> Advice:
     """Return what to do next, by how far all modules are."""
-    heard = [one for one in progress.values() if one.samples]
-    if not heard:
+    sampled = [one for one in progress.values() if one.samples]
+    if not sampled:
         return Advice("listen")
-    if "gyroscope" in session.sensors and any(one.rest_s < REST_S for one in heard):
+    if "gyroscope" in session.sensors and any(one.rest_s < REST_S for one in sampled):
         return Advice("rest")
     if "accelerometer" in session.sensors and any(
-        one.positions < session.wanted_positions or one.sides_missing for one in heard
+        one.positions < session.wanted_positions or one.sides_missing for one in sampled
     ):
-        return Advice("other_side" if all(one.is_at_rest for one in heard) else "hold")
-    if "magnetometer" in session.sensors and any(one.coverage < ENOUGH_COVERAGE for one in heard):
+        return Advice("other_side" if all(one.is_at_rest for one in sampled) else "hold")
+    if "magnetometer" in session.sensors and any(one.coverage < ENOUGH_COVERAGE for one in sampled):
         return Advice("turn")
     silent = tuple(module for module, one in progress.items() if not one.samples)
     return Advice("silent", silent) if silent else Advice("enough")

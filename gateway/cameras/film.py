@@ -48,8 +48,8 @@ def drawn_instants(
             )
             for c, picture in enumerate(row)
         ]
-        told = f"{names[0]}  {recording.meta.path.stem}  picture {sequence}"
-        yield side_by_side(drawn, [told, *names[1:]], height)
+        caption = f"{names[0]}  {recording.meta.path.stem}  picture {sequence}"
+        yield side_by_side(drawn, [caption, *names[1:]], height)
 
 
 def _drawn(
@@ -76,7 +76,9 @@ def _messages(recording: Recording) -> dict[tuple[str, int], HeatMapMessage]:
     }
 
 
-def write_film(pictures: Iterable[Picture], target: Path, rate_hz: float, tell: Callable[[int], None]) -> int:
+def write_film(
+    pictures: Iterable[Picture], target: Path, rate_hz: float, progress: Callable[[int], None]
+) -> int:
     """Into an .mp4, or numbered images in a folder; how many. Raises ``CameraError``, OSError as ``mkdir``
     does."""
     done = 0
@@ -86,7 +88,7 @@ def write_film(pictures: Iterable[Picture], target: Path, rate_hz: float, tell: 
             file = target / f"{done:05}.png"
             if not cv2.imwrite(str(file), picture):
                 raise CameraError(f"{file} cannot be written")
-            tell(done)
+            progress(done)
         return done
     writer: cv2.VideoWriter | None = None
     try:
@@ -94,7 +96,7 @@ def write_film(pictures: Iterable[Picture], target: Path, rate_hz: float, tell: 
             if writer is None:
                 writer = _film(target, rate_hz, picture)
             writer.write(picture)
-            tell(done)
+            progress(done)
     finally:
         if writer is not None:
             writer.release()

@@ -42,8 +42,8 @@ def keypoint_messages(
     """
     counts = {each.n_keypoints for each in pictures}
     if len(counts) > 1:
-        told = ", ".join(f"{each.path} {each.n_keypoints}" for each in pictures)
-        raise GatewayError(f"the cameras' keypoints are of different networks: {told}")
+        listed = ", ".join(f"{each.path} {each.n_keypoints}" for each in pictures)
+        raise GatewayError(f"the cameras' keypoints are of different networks: {listed}")
     keypoint_set, layout = layout_of(counts.pop(), str(pictures[0].path))
     names = load_keypoint_set(keypoint_set).names
     seen = [

@@ -55,8 +55,8 @@ _NOWHERE = np.zeros((2, 3))
 class _Tracked:
     """Somebody who is tracked."""
 
-    told: int
-    """Number that the cameras are told."""
+    ordered_number: int
+    """Number in the orders to the cameras."""
     found: dict[int, int]
     """By camera's row, the number under which it had found the person."""
     number: int | None = None
@@ -172,17 +172,19 @@ class LiveCrowd:
         return float((seen >= 2).mean()) >= _LEAST_SEEN
 
     def _frame_of(self, tracked: _Tracked, instant: Instant) -> HeatMapFrame:
-        """Return what every camera tells of a person, by the gateway's number, else by that under which it
-        was found."""
+        """Return the heat maps of every camera of a person, by the gateway's number, else by that under
+        which it was found."""
         maps: list[CameraHeatMaps | None] = []
         for row in range(len(self._cameras)):
-            told = {message.person: message for message in instant.told.get(row, ())}
-            maps.append(heat_maps_of(told.get(tracked.told) or told.get(tracked.found.get(row, -1))))
+            messages = {message.person: message for message in instant.messages.get(row, ())}
+            maps.append(
+                heat_maps_of(messages.get(tracked.ordered_number) or messages.get(tracked.found.get(row, -1)))
+            )
         return HeatMapFrame(instant.sequence, instant.time_ns, tuple(maps))
 
     def _encoded(self, frame: HeatMapFrame, instant: Instant) -> bytes:
-        """Return the messages of all cameras, those too that told nothing, so that nobody waits for them."""
-        time_ns = instant.told[min(instant.told)][0].time_ns
+        """Return the messages of all cameras, those too that sent nothing, so that nobody waits for them."""
+        time_ns = instant.messages[min(instant.messages)][0].time_ns
         messages = (
             HeatMapMessage(
                 camera.name, self._video.network, frame.sequence, time_ns,
@@ -247,11 +249,11 @@ class LiveCrowd:
     def _found(self, row: int, instant: Instant) -> list[tuple[Person, int]]:
         """Whom a camera has found by itself and nobody is known to be, with its number for them."""
         known = {each.found.get(row) for each in self._tracked}
-        told = {each.told for each in self._tracked}
+        numbers = {each.ordered_number for each in self._tracked}
         found = []
-        for message in instant.told.get(row, ()):
+        for message in instant.messages.get(row, ()):
             maps = heat_maps_of(message)
-            if maps is None or message.person in known or message.person in told:
+            if maps is None or message.person in known or message.person in numbers:
                 continue
             points, likelihood = peaks(maps)
             person = person_of(np.column_stack([points, likelihood]), self._names)
@@ -279,7 +281,7 @@ class LiveCrowd:
         by_camera: dict[str, dict[int, Square | None]] = {camera.name: {} for camera in self._cameras}
         for each, person in zip(self._tracked, self._crowd.people, strict=True):
             for camera, square in self._squares(person):
-                by_camera[camera][each.told] = square
+                by_camera[camera][each.ordered_number] = square
         return encode_orders(sequence + AHEAD, by_camera)
 
     def _squares(self, person: VideoReconstructor) -> Iterator[tuple[str, Square | None]]:

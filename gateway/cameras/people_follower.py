@@ -50,17 +50,17 @@ class PeopleFollower:
     def take(self, orders: CameraOrders) -> None:
         """Follow whom the gateway names where it says, and nobody else by a number of the gateway's."""
         self._ordered_at = self._pictures
-        told = {number: _region_of(square) for number, square in orders.squares.items()}
+        ordered = {number: _region_of(square) for number, square in orders.squares.items()}
         if self._most == 1:
-            told = {0: told.get(0, self._regions.get(0))}
-            self._regions = told if 0 in orders.squares or told[0] is not None else {}
+            ordered = {0: ordered.get(0, self._regions.get(0))}
+            self._regions = ordered if 0 in orders.squares or ordered[0] is not None else {}
             return
         kept: dict[int, PersonRegion | None] = {
             number: region
             for number, region in self._regions.items()
-            if number >= FOUND_BY_CAMERA and region is not None and not _is_among(region.centre, told)
+            if number >= FOUND_BY_CAMERA and region is not None and not _is_among(region.centre, ordered)
         }
-        self._regions = told | kept
+        self._regions = ordered | kept
 
     def heat_maps(self, picture: Picture) -> dict[int, CameraHeatMaps | None]:
         """Return the maps of everybody who is followed, by number; None of one who is not seen any more."""

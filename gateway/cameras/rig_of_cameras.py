@@ -143,8 +143,8 @@ def check_agreement(infos: Sequence[PictureInfo], tasks: Sequence[CameraTask]) -
     lengths = [None if i.count is None else i.count - t.skip for i, t in zip(infos, tasks, strict=True)]
     counted = [length for length in lengths if length is not None]
     if counted and max(counted) - min(counted) > _COUNTS_DIFFER:
-        told = ", ".join(f"{task.name} {length}" for task, length in zip(tasks, lengths, strict=True))
+        listed = ", ".join(f"{task.name} {length}" for task, length in zip(tasks, lengths, strict=True))
         raise CameraError(
-            f"the cameras have different numbers of pictures ({told}): cut the files to the same instants, "
+            f"the cameras have different numbers of pictures ({listed}): cut the files to the same instants, "
             "give --offset CAMERA=PICTURES, or take the common ones with --unequal"
         )

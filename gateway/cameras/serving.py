@@ -41,7 +41,7 @@ class Served:
 class _Receiver:
     connection: socket.socket
     waiting: bytearray = field(default_factory=bytearray)
-    told: bytearray = field(default_factory=bytearray)
+    received: bytearray = field(default_factory=bytearray)
     """The beginning of a line of orders."""
 
 
@@ -201,10 +201,10 @@ def _last_line(receiver: _Receiver) -> bytes:
     """Return the last whole line of what a receiver has sent; what is no line is thrown away."""
     with contextlib.suppress(OSError):
         while data := receiver.connection.recv(1 << 16):
-            receiver.told += data
-            del receiver.told[: -2 * LONGEST]
-    whole, separator, rest = bytes(receiver.told).rpartition(b"\n")
-    receiver.told[:] = rest
+            receiver.received += data
+            del receiver.received[: -2 * LONGEST]
+    whole, separator, rest = bytes(receiver.received).rpartition(b"\n")
+    receiver.received[:] = rest
     return whole.rpartition(b"\n")[2] if separator else b""
 
 

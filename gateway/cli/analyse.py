@@ -15,6 +15,7 @@ import typer
 from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ
 from gateway.body.inertia import BodyInertia, body_inertia
 from gateway.body.skeleton import Skeleton, WornSuit
+from gateway.cli.options import AsJson
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.support.whole_files import writing
@@ -80,41 +81,55 @@ def analyse_file(
         Path | None, typer.Option("--output", "-o", help="Folder; else NAME_analysis beside the file.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Write into a folder that is there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Analyse a motion: joint torques, floor forces, muscles, as tables, one HTML page and a film.
 
     Floor forces are those of the trial's force plates, or estimated where there are none. Needs the extras
     `biomech` and `plot`.
     """
-    from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
     from gateway.analysis.analysing import analyse
     from gateway.analysis.body_model import require_biomech
     from gateway.report.elements import require_matplotlib
 
     require_biomech()
     require_matplotlib()
+    _refuse_unfit(file, mass, inertia, is_trial=subject is not None)
+    folder = _folder(file, output, force=force)
+    with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
+        arrays, suit, recorded_kg = _motion(file, subject, person, progress)
+    weighed = _inertia(arrays.skeleton, mass or recorded_kg, sex, inertia, file)
+    measured = _measured(file, forces, suit)
+    with progress_bar("torques", is_shown=not as_json) as progress:
+        found = analyse(
+            arrays, file.stem, weighed, suit.gravity, cutoff or None, measured, lambda _: progress
+        )
+    with progress_bar("muscles", is_shown=not as_json) as progress:
+        pulled = _muscles(found, muscles, progress)
+    written = _write(found, pulled, folder, to, slower if film else None, as_json)
+    _print_summary(found, pulled, folder, written, as_json)
+
+
+def _refuse_unfit(file: Path, mass: float | None, inertia: Path | None, *, is_trial: bool) -> None:
+    """Raise ``GatewayError`` for a file that cannot be read, and without what the body weighs."""
+    from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
+
     if file.is_dir():
         raise GatewayError(f"{file} is a folder: name a recording, or a trial of markers, in it")
     if not file.exists():
         raise GatewayError(f"{file} cannot be read: no such file")
     if mass is not None and inertia is not None:
         raise GatewayError("--mass and --inertia both tell what the body weighs: leave one of them out")
-    if mass is None and inertia is None and subject is None and file.suffix.lower() not in MARKER_SUFFIXES:
+    if mass is None and inertia is None and not is_trial and file.suffix.lower() not in MARKER_SUFFIXES:
         raise GatewayError(_NO_MASS.format(file=file))
+
+
+def _folder(file: Path, output: Path | None, *, force: bool) -> Path:
+    """Return where the results go. Raises ``GatewayError`` where something is already."""
     folder = output or file.with_name(f"{file.stem}_analysis")
     if folder.exists() and not force:
         raise GatewayError(f"{folder} exists: name another folder with --output, or add to it with --force")
-    with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell_read:
-        arrays, suit, recorded_kg = _motion(file, subject, person, tell_read)
-    weighed = _inertia(arrays.skeleton, mass or recorded_kg, sex, inertia, file)
-    measured = _measured(file, forces, suit)
-    with progress_bar("torques", is_shown=not as_json) as tell:
-        found = analyse(arrays, file.stem, weighed, suit.gravity, cutoff or None, measured, lambda _: tell)
-    with progress_bar("muscles", is_shown=not as_json) as tell:
-        pulled = _muscles(found, muscles, tell)
-    written = _write(found, pulled, folder, to, slower if film else None, as_json)
-    _say(found, pulled, folder, written, as_json)
+    return folder
 
 
 def _write(
@@ -132,13 +147,13 @@ def _write(
         folder.mkdir(parents=True, exist_ok=True)
         written = [*write_tables(found, pulled, folder, to.value), *write_loads(found, folder)]
     if slower is not None:
-        with progress_bar("film", is_shown=not as_json) as tell:
-            write_film(found, pulled, moving, slower, tell)
+        with progress_bar("film", is_shown=not as_json) as progress:
+            write_film(found, pulled, moving, slower, progress)
     write_page(found, pulled, page, None if slower is None else moving)
     return [*written, page, *([] if slower is None else [moving])]
 
 
-def _muscles(found: Analysis, muscles: str, tell: Callable[[int, int], None]) -> MuscleResult | None:
+def _muscles(found: Analysis, muscles: str, progress: Callable[[int, int], None]) -> MuscleResult | None:
     """Return those asked for; None where none were, or none were asked for and the body has no legs."""
     from gateway.analysis.muscle_settings import load_costs
     from gateway.analysis.muscles import find_muscles, has_muscles
@@ -146,7 +161,7 @@ def _muscles(found: Analysis, muscles: str, tell: Callable[[int, int], None]) ->
     if muscles == "none" or (muscles == "auto" and not has_muscles(found.skeleton)):
         return None
     if muscles == "auto":
-        return find_muscles(found, progress=tell)
+        return find_muscles(found, progress=progress)
     path = Path(muscles)
 
     def costs(paths: MusclePaths) -> MuscleCosts:
@@ -154,11 +169,11 @@ def _muscles(found: Analysis, muscles: str, tell: Callable[[int, int], None]) ->
         peaks = np.array([wire.peak_force_n for wire in paths.wires])
         return load_costs(path, names, peaks, found.time_s)
 
-    return find_muscles(found, costs, tell)
+    return find_muscles(found, costs, progress)
 
 
 def _motion(
-    file: Path, subject: str | None, person: str | None, tell: Callable[[int, int], None]
+    file: Path, subject: str | None, person: str | None, progress: Callable[[int, int], None]
 ) -> tuple[SkeletonArrays, WornSuit, float | None]:
     """Return the poses, who made them, and the mass that the file tells, kg."""
     from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
@@ -173,7 +188,7 @@ def _motion(
         if person is not None:
             raise GatewayError(f"--person goes with trials of markers (C3D, TRC); {file} is none")
         recording = open_recording(file)
-        return recording.skeleton_arrays(tell), recording.meta.suit, None
+        return recording.skeleton_arrays(progress), recording.meta.suit, None
     if subject is None:
         raise GatewayError(
             f"{file} holds markers: name the person with --subject, a file of `mocap-gateway optical fit`"
@@ -182,11 +197,13 @@ def _motion(
     trial = read_markers(file)
     for note in trial.notes:
         typer.echo(f"note: {note}", err=True)
-    told = next((trial.parameters[key] for key in MASS_PARAMETERS if trial.parameters.get(key, 0) > 0), None)
+    mass_kg = next(
+        (trial.parameters[key] for key in MASS_PARAMETERS if trial.parameters.get(key, 0) > 0), None
+    )
     with tempfile.TemporaryDirectory(prefix="mocap-analysis-") as folder:
         target = Path(folder) / "solved.mcap"
-        write_solved_trial(trial, file, suit, subject, target, tell, person)
-        return open_recording(target).skeleton_arrays(), suit, told
+        write_solved_trial(trial, file, suit, subject, target, progress, person)
+        return open_recording(target).skeleton_arrays(), suit, mass_kg
 
 
 def _inertia(
@@ -221,7 +238,7 @@ def _measured(file: Path, forces: str, suit: WornSuit) -> MeasuredForces | None:
     return MeasuredForces(plates, "z" if suit.markers is None else suit.markers.vertical)
 
 
-def _say(
+def _print_summary(
     found: Analysis, pulled: MuscleResult | None, folder: Path, written: list[Path], as_json: bool
 ) -> None:
     left = float(np.sqrt(np.mean(np.sum(found.dynamics.residual_force**2, axis=1))))

@@ -20,6 +20,7 @@ from gateway.body.joints import WORLD, Joint
 from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import import_urdf
+from gateway.cli.options import AsJson
 from gateway.errors import GatewayError
 from gateway.support.settings_files import find_file, load_yaml, shipped_folder
 from gateway.support.whole_files import writing
@@ -58,7 +59,7 @@ def show(
     mass: Mass = None,
     sex: Sex = None,
     length: Lengths = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show the tree of segments with lengths (and masses), and the joints with their angles and limits."""
     subject = _subject(height, mass, sex, length)
@@ -123,8 +124,8 @@ def measure(
     from gateway.settings import load_gateway_settings
 
     rig = KeptRig(load_gateway_settings(config).rig, config)
-    told = _subject(height, mass, None, length)
-    if changes := measured(told.height_m, told.mass_kg, told.lengths):
+    subject = _subject(height, mass, None, length)
+    if changes := measured(subject.height_m, subject.mass_kg, subject.lengths):
         rig.keep_subject(changes)
         rig.name_in_configuration()
         typer.echo(f"kept in {rig.target}", err=True)

@@ -22,13 +22,13 @@ from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, axis_of, cameras_text, load_cameras
 from gateway.cli.calibrate_body import body, put_back, versions
 from gateway.cli.calibrate_sensors import sensors
-from gateway.cli.options import refuse_existing
+from gateway.cli.options import AsJson, ReplaceFiles, refuse_existing
 from gateway.cli.terminal import progress_bar
 from gateway.clocks import ClockCalibration, ClockTable, LinkBatching, save_clock_table, warm_up
 from gateway.clocks.table import MINUTE_S
 from gateway.errors import GatewayError
 from gateway.settings import GatewaySettings, load_gateway_settings
-from gateway.support.video_extra import require_video_extra
+from gateway.support.extras import require_video_extra
 from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:
@@ -75,8 +75,8 @@ def cameras(
     pictures: Annotated[
         Path | None, typer.Option(help="Folder for pictures of the board as found; default: beside the file.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    force: ReplaceFiles = False,
+    as_json: AsJson = False,
 ) -> None:
     """Calibrate cameras with a checkerboard or ChArUco board, or take over another program's calibration."""
     _check_cameras(output, force=force)
@@ -84,7 +84,7 @@ def cameras(
     if import_file is not None:
         found = load_cameras(import_file, axis, unit)
         _write_cameras(output, cameras_text(found))
-        _tell_cameras(output, [_camera_row(camera) for camera in found], as_json)
+        _print_cameras(output, [_camera_row(camera) for camera in found], as_json)
         return
     if board is None or not lenses:
         raise GatewayError("pictures (NAME=FOLDER for every camera) and --board are wanted, or --import FILE")
@@ -93,7 +93,7 @@ def cameras(
     written = _draw_boards(board, result, folder)
     text = cameras_text(result.cameras, result.placement.rms.tolist())
     _write_cameras(output, text.replace("up: z", f"up: {axis}", 1))
-    _tell_cameras(output, _camera_rows(result), as_json)
+    _print_cameras(output, _camera_rows(result), as_json)
     if not as_json:
         typer.echo(f"{folder}: {written} pictures with the corners found (green) and expected (red)")
 
@@ -144,8 +144,8 @@ def _looked_for(
             raise GatewayError(f"'{text}': NAME=PICTURES is wanted, such as cam01=pictures/cam01")
         if name in found:
             raise GatewayError(f"camera '{name}' is given twice")
-        with progress_bar(f"{what}: {name}", is_shown=is_shown) as tell:
-            found[name] = board_pictures(board, place, every, tell)
+        with progress_bar(f"{what}: {name}", is_shown=is_shown) as progress:
+            found[name] = board_pictures(board, place, every, progress)
     return found
 
 
@@ -180,7 +180,7 @@ def _write_cameras(output: Path, text: str) -> None:
         output.write_text(text, encoding="utf-8")
 
 
-def _tell_cameras(output: Path, rows: list[dict[str, Any]], as_json: bool) -> None:
+def _print_cameras(output: Path, rows: list[dict[str, Any]], as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps({"file": str(output), "cameras": rows}, indent=2))
         return
@@ -195,7 +195,7 @@ def _tell_cameras(output: Path, rows: list[dict[str, Any]], as_json: bool) -> No
     typer.echo(f"{output}: {len(rows)} cameras")
 
 
-_UNHEARD_S = 10.0
+_SILENT_S = 10.0
 
 
 def clocks(
@@ -260,9 +260,9 @@ async def _measure_clocks(settings: GatewaySettings, calibration: ClockCalibrati
             while not calibration.is_complete and not all(task.done() for task in tasks):
                 await asyncio.wait(tasks, timeout=0.2, return_when=asyncio.ALL_COMPLETED)
                 progress.update(bar, completed=calibration.elapsed_s)
-                if not calibration.heard and gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9:
+                if not calibration.received and gateway_time_ns() - begin_ns > _SILENT_S * 1e9:
                     raise GatewayError(
-                        f"no module of the rig was heard for {_UNHEARD_S:.0f} s: are they switched on, "
+                        f"no module of the rig was heard for {_SILENT_S:.0f} s: are they switched on, "
                         "and is the link right?"
                     )
     # Links must be closed before the result is looked at, also after an error.

@@ -49,13 +49,13 @@ def live_table(session: BodySession, step: Step | None, live: Sequence[Livelines
     table = Table("module", "segment", "turning", "")
     for (module, segment), one in zip(modules_of(session), live, strict=True):
         is_still = one.turning < STILL
-        if not one.is_heard:
+        if not one.is_received:
             state, colour = "silent", "red"
         elif is_still:
             state, colour = "still", "green" if wants_rest else "white"
         else:
             state, colour = "moving", "red" if wants_rest else "green"
-        full = min(round(_BAR * one.turning / _FULL_BAR), _BAR) if one.is_heard else 0
+        full = min(round(_BAR * one.turning / _FULL_BAR), _BAR) if one.is_received else 0
         bar = Text("█" * full + "░" * (_BAR - full) + f" {np.degrees(one.turning):4.0f} °/s", colour)
         table.add_row(str(module), segment.replace("_", " "), bar, Text(state, colour))
     return table
@@ -93,7 +93,7 @@ def _reasons(reasons: Sequence[str]) -> str:
 
 
 _REFRESH_S = 0.1
-_UNHEARD_S = 10.0
+_SILENT_S = 10.0
 _PATIENCE = {"max_wait_ms": 1000.0, "max_gap_ms": 200.0}
 """Of the assembly: nobody waits for these frames, so that late samples may come."""
 _SOLVING = (
@@ -198,10 +198,10 @@ async def _calibrate(
     needing_little = stand_in(settings, partial(console.print, style="dim"))  # poses are not looked at
     pipeline = Pipeline.from_settings(needing_little.model_copy(update={"assembly": patient}), suit)
     pipeline.module_stage.on_frame = guide.session.add
-    told = [one for one in settings.links if one.carries != "heat_maps"]
+    worn_links = [one for one in settings.links if one.carries != "heat_maps"]
     readers = [
         asyncio.create_task(_read(_steady(link_from_url(one.url, name=one.name)), one.carries, pipeline))
-        for one in told
+        for one in worn_links
     ]
     try:
         return await guide.run(console)
@@ -244,7 +244,7 @@ class _Guide:
 
         Raises ``GatewayError`` when no module is heard, or nothing can be solved.
         """
-        await self._until_heard(console)
+        await self._until_received(console)
         for step in self._plan:
             await self._do(step, console)
         while True:
@@ -260,13 +260,13 @@ class _Guide:
             step, segments = again
             await self._do(step, console, segments)
 
-    async def _until_heard(self, console: Console) -> None:
+    async def _until_received(self, console: Console) -> None:
         begin_ns = gateway_time_ns()
         with console.status("waiting for the modules"):
             while not self.session.now_ns:
-                if gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9 and not self._is_emulated:
+                if gateway_time_ns() - begin_ns > _SILENT_S * 1e9 and not self._is_emulated:
                     # Solving takes seconds, in a thread: samples keep being read meanwhile.
-                    raise GatewayError(_NOT_ALIVE.format(_UNHEARD_S))
+                    raise GatewayError(_NOT_ALIVE.format(_SILENT_S))
                 await asyncio.sleep(_REFRESH_S)
         self._begin_ns = begin_of_script(gateway_time_ns()) - round(PERIOD_S * 1e9)
 

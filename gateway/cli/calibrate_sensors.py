@@ -134,7 +134,7 @@ def _bar(share: float) -> Text:
 
 
 _REFRESH_S = 0.25
-_UNHEARD_S = 10.0
+_SILENT_S = 10.0
 _SAME_DIP_DEG = 0.5
 
 
@@ -178,13 +178,7 @@ def sensors(
     source = find_file(rig, "rigs", suit.config)
     target = _target(source, suit, output, force, flash)
     worn = load_rig(rig, suit.config)
-    session = SensorSession(
-        _chosen_modules(worn, modules),
-        gravity=-float(worn.gravity[2]),
-        field_ut=float(sum(worn.magnetic_field**2) ** 0.5),
-        sensors=_chosen_sensors(only),
-        has_levelled_cube=cube,
-    )
+    session = _session(worn, modules, only, has_cube=cube)
 
     found = asyncio.run(_calibrate(suit, links, worn, session, seconds, flash, poor, as_json))
     kept = {module: usable(results, poor) for module, results in found.items()}
@@ -202,6 +196,17 @@ def sensors(
         write_calibrated_rig(source, target, calibrations, dip_deg=dip_deg)
         typer.echo(f"written to {target}: use it as 'rig: {target}'", err=as_json)
     raise typer.Exit(0 if all(len(r) == len(session.sensors) for r in kept.values()) else 1)
+
+
+def _session(worn: WornSuit, modules: str | None, only: str | None, *, has_cube: bool) -> SensorSession:
+    """Return a session that has seen nothing. Raises ``GatewayError`` for unknown modules or sensors."""
+    return SensorSession(
+        _chosen_modules(worn, modules),
+        gravity=-float(worn.gravity[2]),
+        field_ut=float(sum(worn.magnetic_field**2) ** 0.5),
+        sensors=_chosen_sensors(only),
+        has_levelled_cube=has_cube,
+    )
 
 
 def _about_the_field(dip_deg: float, worn: WornSuit, *, is_written: bool) -> str:
@@ -267,10 +272,10 @@ async def _show_until_done(
             live.update(Group(head, progress_table(session, progress)), refresh=True)
             if all(session.is_enough(one) for one in progress.values()):
                 return
-            is_late = gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9
+            is_late = gateway_time_ns() - begin_ns > _SILENT_S * 1e9
             if is_late and not any(one.samples for one in progress.values()):
                 raise GatewayError(
-                    f"no module of the rig was heard for {_UNHEARD_S:.0f} s: are they switched on, and is "
+                    f"no module of the rig was heard for {_SILENT_S:.0f} s: are they switched on, and is "
                     "the link right?"
                 )
             with contextlib.suppress(TimeoutError):

@@ -16,7 +16,7 @@ from rich.live import Live as LiveTable
 from rich.table import Table
 from rich.text import Text
 
-from gateway.cli.options import BrokerChoice, seconds_of, with_broker
+from gateway.cli.options import AsJson, BrokerChoice, seconds_of, with_broker
 from gateway.cli.terminal import progress_bar, wide_console
 from gateway.contract.topics import Topics
 from gateway.errors import GatewayError
@@ -97,7 +97,7 @@ def compare(
     plot: Annotated[
         Path | None, typer.Option(help="Write a picture (.png, .svg, .pdf) or a page with table (.html).")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
     live: Annotated[
         bool, typer.Option("--live", help="Compare two running gateways, and publish the figures.")
     ] = False,
@@ -139,8 +139,8 @@ def _recorded(path: Path, is_shown: bool) -> SkeletonArrays:
     """Return the poses of a recording, with a progress bar if wanted. Raises ``GatewayError``."""
     from gateway.recording import open_recording
 
-    with progress_bar(f"reading {path.name}", is_shown=is_shown) as tell:
-        return open_recording(path).skeleton_arrays(tell)
+    with progress_bar(f"reading {path.name}", is_shown=is_shown) as progress:
+        return open_recording(path).skeleton_arrays(progress)
 
 
 def _compare_results(files: Files, plot: Path | None, as_json: bool) -> None:
@@ -232,17 +232,17 @@ def _hint(found: Agreement, separate: Agreement) -> None:
 def _notes(found: Agreement) -> list[str]:
     """Return what was aligned, as sentences."""
     drift = f", and runs {found.time.drift_ppm:+.1f} ppm against it" if found.time.drift_ppm else ""
-    said = [
+    lines = [
         f"The second's clock shows {found.time.lag_s:+.4f} s more than the first's{drift} "
         f"(correlation {found.time.correlation:.3f}); the second's world is turned by "
         f"{found.heading_deg:+.1f}° about the vertical; {len(found.time_s)} instants."
     ]
     if any(figures.own_heading_deg for figures in found.segments):
         own = ", ".join(f"{figures.segment} {figures.own_heading_deg:+.1f}°" for figures in found.segments)
-        said.append(f"Headings beside that, taken off too: {own}.")
+        lines.append(f"Headings beside that, taken off too: {own}.")
     if found.time.correlation < _DOUBTFUL:
-        said.append("The two correlate poorly: perhaps they are not of the same motion.")
-    return said
+        lines.append("The two correlate poorly: perhaps they are not of the same motion.")
+    return lines
 
 
 def _rows(found: Agreement) -> list[tuple[str, ...]]:
@@ -350,7 +350,7 @@ async def _compare_live(settings: MqttSettings, wanted: Live, topics: Topics) ->
     async with PoseSubscriber(settings) as poses:
         collecting = asyncio.create_task(_collect(poses, windows))
         try:
-            await _say(settings, wanted, topics, poses, windows)
+            await _print_comparisons(settings, wanted, topics, poses, windows)
         finally:
             collecting.cancel()
 
@@ -361,7 +361,7 @@ async def _collect(poses: PoseSubscriber, windows: Mapping[str, PoseWindow]) -> 
             windows[received.gateway].add(received.pose)
 
 
-async def _say(
+async def _print_comparisons(
     settings: MqttSettings,
     wanted: Live,
     topics: Topics,
@@ -370,15 +370,15 @@ async def _say(
 ) -> None:
     from gateway.agreement.live import comparison_message
 
-    said, console = 0, Console()
+    printed, console = 0, Console()
     with LiveTable(console=console, auto_refresh=False, screen=False) as table:
-        while wanted.count is None or said < wanted.count:
+        while wanted.count is None or printed < wanted.count:
             await asyncio.sleep(_EVERY_S)
             found = await _found(wanted, poses, windows)
             if isinstance(found, str):
                 _show_live(table, wanted, Text(found, "yellow"))
                 continue
-            said += 1
+            printed += 1
             message = comparison_message(
                 found, windows[wanted.first].newest_ns, wanted.second, wanted.window_s
             )

@@ -44,17 +44,17 @@ def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configu
         soft_wrap=True,
     )
     if settings.reconstructor == "articulated" and suit.sun is None:
-        _tell_unobserved(unobserved_headings(suit))
+        _print_unobserved(unobserved_headings(suit))
 
 
-def _tell_unobserved(headings: Mapping[str, tuple[int, ...]]) -> None:
+def _print_unobserved(headings: Mapping[str, tuple[int, ...]]) -> None:
     """Name the segments whose heading is not observed without gyroscopes, with the ways to face."""
     if not headings:
         return
-    told = "; ".join(f"{segment} (facing {_ranges(lost)})" for segment, lost in headings.items())
+    listed = "; ".join(f"{segment} (facing {_ranges(lost)})" for segment, lost in headings.items())
     Console().print(
         "[yellow]note[/yellow]: where modules have no gyroscopes, 'articulated' does not observe, at rest in "
-        f"the neutral posture, the heading of: {told}. North is 0°, east 90°. Such a module wants "
+        f"the neutral posture, the heading of: {listed}. North is 0°, east 90°. Such a module wants "
         "gyroscopes, or to sit on the joint, or more to one side of it; see docs/guide/gyro_free.md",
         soft_wrap=True,
         highlight=False,

@@ -71,6 +71,7 @@ class Truth:
 
     @property
     def n_poses(self) -> int:
+        """How many poses were compared."""
         return len(self._times_s)
 
     def errors_deg(self) -> FloatArray:
@@ -141,11 +142,11 @@ def demo(
     with tempfile.TemporaryDirectory(prefix="mocap-demo-") as folder, contextlib.suppress(KeyboardInterrupt):
         ports = _free_port(port), websocket_port
         settings = _demo_settings(f"{folder}/suit", rig, reconstructor, clock, ports)
-        tell = partial(console.print, style="dim")
+        show = partial(console.print, style="dim")
         usual = settings.reconstructor
         if reconstructor is None:
-            settings = _startable(settings, tell)
-        service = _demo_service(settings, suit, usual, tell)
+            settings = _startable(settings, show)
+        service = _demo_service(settings, suit, usual, show)
 
         with contextlib.ExitStack() as beside:
             beside.enter_context(_live_page(settings, _free_port(page_port) if page else None, console))
@@ -181,7 +182,7 @@ def _demo_settings(
 
 
 def _demo_service(
-    settings: GatewaySettings, suit: WornSuit, usual: str, tell: Callable[[str], object]
+    settings: GatewaySettings, suit: WornSuit, usual: str, show: Callable[[str], object]
 ) -> Service:
     """Return the service, not yet running, whose health can be asked for over MQTT as with ``run``.
 
@@ -190,13 +191,13 @@ def _demo_service(
     from gateway.doctor.inside import examined
     from gateway.service.service import Service
 
-    with report_compiling(tell):
+    with report_compiling(show):
         service = Service(settings, suit, awaited=usual if settings.reconstructor != usual else None)
     service.own_requests.on_examine = partial(examined, service)
     return service
 
 
-def _startable(settings: GatewaySettings, tell: Callable[[str], object]) -> GatewaySettings:
+def _startable(settings: GatewaySettings, show: Callable[[str], object]) -> GatewaySettings:
     """Return the settings; where their reconstructor is not compiled yet, with another, and it is for next
     time."""
     from gateway.service import readiness
@@ -204,8 +205,8 @@ def _startable(settings: GatewaySettings, tell: Callable[[str], object]) -> Gate
     usual = settings.reconstructor
     if readiness.is_ready(usual):
         return settings
-    settings = stand_in(settings, tell)
-    tell(
+    settings = stand_in(settings, show)
+    show(
         f"first start: '{usual}' is compiled in the background, up to a minute; this run shows "
         f"'{readiness.FALLBACK}', and the body stays in its place"
     )

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from gateway.cli.options import AsJson
 from gateway.doctor.findings import Verdict
 from gateway.errors import SettingsError
 
@@ -33,7 +34,7 @@ def doctor(
     listen: Annotated[
         float, typer.Option(min=0, max=30, help="How long the suit is listened to, s; 0: not at all.")
     ] = 2.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Examine a set-up: configuration, ports, lines and buses, modules, broker, clocks, disk.
 

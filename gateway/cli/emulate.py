@@ -45,11 +45,11 @@ from devices.emulators.transports import (
     Transport,
     UdpTransport,
 )
-from devices.emulators.voices import VOICES, announce
+from devices.emulators.vendor_emulators import VENDOR_EMULATORS, announce
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.cli.emulate_makers import SpokenSuit, say_links, spoken_by, voices_of
+from gateway.cli.emulate_makers import VendorSuit, emulators_of, print_links, vendor_suit_of
 from gateway.cli.options import with_options
 from gateway.cli.terminal import TypedLines
 from gateway.emulation.rig import (
@@ -107,7 +107,8 @@ class Emulation:
     speaks: Annotated[
         str | None,
         typer.Option(
-            help=f"Speak as modules of another maker, each on a link of its own: {', '.join(VOICES)}."
+            help="Speak as modules of another maker, each on a link of its own: "
+            f"{', '.join(VENDOR_EMULATORS)}."
         ),
     ] = None
     on: Annotated[Medium, typer.Option(help="What to speak on.")] = Medium.PTY
@@ -285,9 +286,9 @@ async def obey_typed_lines(suit: EmulatedSuit, traffic: SuitTraffic, *, is_quiet
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)
     lines = TypedLines()
     while (line := await lines.next()) is not None:
-        said, is_done = _do(line, suit, traffic) if line else (EXPLANATION, False)
+        outcome, is_done = _do(line, suit, traffic) if line else (EXPLANATION, False)
         if not (is_quiet and is_done):
-            typer.echo(said, err=not is_done)
+            typer.echo(outcome, err=not is_done)
 
 
 def _do(line: str, suit: EmulatedSuit, traffic: SuitTraffic) -> tuple[str, bool]:
@@ -302,9 +303,9 @@ def _do(line: str, suit: EmulatedSuit, traffic: SuitTraffic) -> tuple[str, bool]
     except KeyError:
         worn = map(str, traffic.motion.body.segment_names)
         return f"no module is on '{name.strip()}'{nearest(str(which), worn)}", False
-    says, act = _ACTIONS[action]
+    done, act = _ACTIONS[action]
     suit.do(lambda: act(traffic, which, suit.motion_time_s(gateway_time_ns()) + _SOON_S))
-    return f"module {device.module_id} ({device.unique_id.hex()}) {says}", True
+    return f"module {device.module_id} ({device.unique_id.hex()}) {done}", True
 
 
 _START_DELAY_NS = 500_000_000
@@ -336,9 +337,9 @@ def emulate(wanted: Emulation) -> None:
     if wanted.motion is MotionKind.CALIBRATION:
         # A calibration follows a timetable on which wearer and program agree without talking.
         start_ns = begin_of_script(start_ns)
-    spoken = spoken_by(touchable(source), wanted.speaks, wanted.rig)
+    vendor = vendor_suit_of(touchable(source), wanted.speaks, wanted.rig)
     try:
-        transport = _transport(wanted) if spoken is None else _transport_of_each(wanted, spoken)
+        transport = _transport(wanted) if vendor is None else _transport_of_each(wanted, vendor)
         _play(source, transport, wanted, receiver, start_ns)
     except (OSError, can.CanError) as error:
         raise GatewayError(
@@ -361,8 +362,8 @@ def _played(wanted: Emulation) -> Iterable[Transmission]:
 
 def _worn(wanted: Emulation) -> Conversation:
     """Return a suit on a moving body, with its faults. Raises ``GatewayError``."""
-    if wanted.speaks is not None and wanted.speaks not in VOICES:
-        raise GatewayError(f"--speaks {wanted.speaks}: unknown{nearest(wanted.speaks, VOICES)}")
+    if wanted.speaks is not None and wanted.speaks not in VENDOR_EMULATORS:
+        raise GatewayError(f"--speaks {wanted.speaks}: unknown{nearest(wanted.speaks, VENDOR_EMULATORS)}")
     if wanted.imperfections not in PRESETS:
         raise GatewayError(
             f"--imperfections {wanted.imperfections}: unknown{nearest(wanted.imperfections, PRESETS)}"
@@ -371,7 +372,7 @@ def _worn(wanted: Emulation) -> Conversation:
     if wanted.gnss is not None:
         suit = without_position_devices(suit)
     imperfections = PRESETS[wanted.imperfections]
-    if wanted.speaks is not None and voices_of(wanted.speaks, suit)(suit.module_ids[0]).speaks_as_one:
+    if wanted.speaks is not None and emulators_of(wanted.speaks, suit)(suit.module_ids[0]).sends_as_one:
         # one program says what all measured at one instant
         imperfections = replace(
             imperfections, clock_skew_ppm=0.0, has_random_clock_start=False, has_random_phase=False,
@@ -387,15 +388,15 @@ def _suit_settings(wanted: Emulation, suit: WornSuit) -> SuitSettings:
     can_relay = encoding.framing is Framing.BYTE_STREAM and wanted.speaks is None
     relays = wanted.on is not Medium.UDP
     ids = suit.module_ids
-    voice = None if wanted.speaks is None else voices_of(wanted.speaks, suit)
-    fuses = voice is not None and voice(ids[0]).is_fused
+    emulator = None if wanted.speaks is None else emulators_of(wanted.speaks, suit)
+    fuses = emulator is not None and emulator(ids[0]).is_fused
     return SuitSettings(
         sampling_rate_hz=wanted.rate,
         mode=FUSED if fuses else _MODES[wanted.mode],
         is_fine=wanted.fine,
         has_relay=can_relay and (relays if wanted.relay is None else wanted.relay),
         encoding=encoding,
-        voice=voice,
+        emulator=emulator,
         gravity=suit.gravity,
         magnetic_field=suit.magnetic_field,
         sunlight=sunlight(suit, gateway_time_ns()),
@@ -445,41 +446,41 @@ def _transport(wanted: Emulation) -> Transport:
             return PtyTransport(wanted.link)
 
 
-def _transport_of_each(wanted: Emulation, spoken: SpokenSuit) -> LinkPerDevice:
+def _transport_of_each(wanted: Emulation, vendor: VendorSuit) -> LinkPerDevice:
     """Return a link a module: ports one after the other, links to pseudo-terminals named for the modules."""
-    _refuse_medium(wanted, spoken)
+    _refuse_medium(wanted, vendor)
     # Streamers of whole bodies send all modules over one link.
-    if all(voice.speaks_as_one for voice in spoken.voices.values()):
-        return LinkPerDevice(dict.fromkeys(spoken.voices, _transport(wanted)))
-    single = len(spoken.voices) == 1
+    if all(emulator.sends_as_one for emulator in vendor.emulators.values()):
+        return LinkPerDevice(dict.fromkeys(vendor.emulators, _transport(wanted)))
+    single = len(vendor.emulators) == 1
     links: dict[int, Transport] = {}
-    for place, (module, voice) in enumerate(spoken.voices.items()):
+    for place, (module, emulator) in enumerate(vendor.emulators.items()):
         link = wanted.link
         if link is not None and not single:
             link = link.with_name(f"{link.name}-{module}")
         # Devices that share a link have one port, and are told apart by what they send.
-        beside = 0 if voice.shares_link else place
+        beside = 0 if emulator.shares_link else place
         one = replace(wanted, port=wanted.port and wanted.port + beside, link=link)
         if wanted.on is Medium.UDP:
-            links[module] = UdpTransport(one.port, one.host, voice.from_port)
+            links[module] = UdpTransport(one.port, one.host, emulator.from_port)
         else:
             links[module] = _transport(one)
     return LinkPerDevice(links)
 
 
-def _refuse_medium(wanted: Emulation, spoken: SpokenSuit) -> None:
+def _refuse_medium(wanted: Emulation, vendor: VendorSuit) -> None:
     """Raise ``GatewayError`` where devices do not speak on what is asked for, or not several of them."""
-    voice = next(iter(spoken.voices.values()))
-    told = f"--speaks {wanted.speaks} --on {wanted.on}"
+    emulator = next(iter(vendor.emulators.values()))
+    options = f"--speaks {wanted.speaks} --on {wanted.on}"
     is_bus = wanted.on in {Medium.CAN, Medium.SLCAN}
-    if voice.shares_link and wanted.on is not Medium.UDP:
-        raise GatewayError(f"{told}: these speak over udp: --on udp")
-    if voice.framing is Framing.CAN and not is_bus:
-        raise GatewayError(f"{told}: these speak on CAN: --on slcan, or --on can")
-    if is_bus and voice.framing is not Framing.CAN:
-        raise GatewayError(f"{told}: these do not speak on CAN: --on pty, tcp or udp")
-    if wanted.on is Medium.CAN and len(spoken.voices) > 1 and not voice.shares_bus:
-        raise GatewayError(f"{told}: there can be one of these on a bus: --on slcan gives each its own")
+    if emulator.shares_link and wanted.on is not Medium.UDP:
+        raise GatewayError(f"{options}: these speak over udp: --on udp")
+    if emulator.framing is Framing.CAN and not is_bus:
+        raise GatewayError(f"{options}: these speak on CAN: --on slcan, or --on can")
+    if is_bus and emulator.framing is not Framing.CAN:
+        raise GatewayError(f"{options}: these do not speak on CAN: --on pty, tcp or udp")
+    if wanted.on is Medium.CAN and len(vendor.emulators) > 1 and not emulator.shares_bus:
+        raise GatewayError(f"{options}: there can be one of these on a bus: --on slcan gives each its own")
 
 
 def _signed_transport(wanted: Emulation, key_file: Path) -> Transport:
@@ -521,20 +522,20 @@ async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, source: object, 
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
             asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     companions = [asyncio.create_task(pull_cable(plan_of(source), suit))]
-    spoken = spoken_by(touchable(source), wanted.speaks, wanted.rig)
-    if spoken is not None and wanted.on is Medium.UDP:
-        ports = range(wanted.port, wanted.port + len(spoken.voices))
-        heard = zip(spoken.voices.values(), ports, strict=True)
-        companions.append(asyncio.create_task(announce(heard, wanted.host)))
+    vendor = vendor_suit_of(touchable(source), wanted.speaks, wanted.rig)
+    if vendor is not None and wanted.on is Medium.UDP:
+        ports = range(wanted.port, wanted.port + len(vendor.emulators))
+        announced = zip(vendor.emulators.values(), ports, strict=True)
+        companions.append(asyncio.create_task(announce(announced, wanted.host)))
     while not (url := suit.transport.url) and not task.done():  # noqa: ASYNC110 - for a moment
         await asyncio.sleep(0.01)
     traffic = touchable(source)
     if url:
-        if spoken is None:
+        if vendor is None:
             _announce(url, suit, as_json, traffic is not None)
         else:
             assert isinstance(suit.transport, LinkPerDevice)
-            say_links(suit.transport.urls, suit, spoken, as_json)
+            print_links(suit.transport.urls, suit, vendor, as_json)
         if traffic is not None:
             companions.append(asyncio.create_task(obey_typed_lines(suit, traffic, is_quiet=as_json)))
     try:

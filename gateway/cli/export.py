@@ -15,11 +15,12 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from gateway.batch.kinds import KINDS, REPORT
-from gateway.cli.options import refuse_existing
+from gateway.cli.options import AsJson, refuse_existing
+from gateway.cli.solving_options import SolvedOtherwise, with_solving
 from gateway.cli.terminal import progress_bar
 from gateway.recording.exporters.axes import Axes
 from gateway.recording.exporters.formats import FORMATS
-from gateway.settings import MAX_DELAY_MS, check_method
+from gateway.settings import check_method
 
 if TYPE_CHECKING:
     from gateway.batch.job import Job, Outcome
@@ -64,7 +65,7 @@ def export(
         float | None, typer.Option(min=2, max=400, help="Of the person, kg, for osim; else 75.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace files that are there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write a recording as BVH, C3D, glTF, TRC, CSV, Parquet, for OpenSim, ROS 2 or Foxglove.
 
@@ -76,23 +77,24 @@ def export(
     from gateway.recording.exporters.take import take_of
     from gateway.recording.solving import smoothed_arrays
 
+    # Before anything is read or written: what cannot be written would be noticed after the others are.
+    for name in to:
+        FORMATS[name].check(*_form(name, axes, unit))
     files = {name: _target(file, name, output, len(to) > 1, force) for name in to}
-    with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell:
+    with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
         recording = open_recording(file)
-        arrays = smoothed_arrays(recording, tell) if smooth else recording.skeleton_arrays(tell)
+        arrays = smoothed_arrays(recording, progress) if smooth else recording.skeleton_arrays(progress)
 
     takes: dict[Axes, Take] = {}
     written = []
-    with progress_bar("writing", is_shown=not as_json) as tell:
+    with progress_bar("writing", is_shown=not as_json) as progress:
         for done, (name, path) in enumerate(files.items()):
-            tell(done, len(files))
-            kind = FORMATS[name]
-            wanted = axes or kind.axes
+            progress(done, len(files))
+            wanted, per_m = _form(name, axes, unit)
             if wanted not in takes:
                 # Resampling takes longer than writing: formats with the same axes share one take.
                 takes[wanted] = replace(take_of(arrays, file.stem, wanted, recording), mass_kg=mass)
-            per_m = kind.units_per_m if unit is None else units_per_m(unit)
-            kind.write(takes[wanted], path, per_m)
+            FORMATS[name].write(takes[wanted], path, per_m)
             written.append(_summary_of(name, path, takes[wanted], per_m))
 
     if mass is None and any(name == "osim" for name in to):
@@ -101,6 +103,12 @@ def export(
         typer.echo(json.dumps(written, indent=2))
         return
     _print_written(written)
+
+
+def _form(name: str, axes: Axes | None, unit: Unit | None) -> tuple[Axes, float]:
+    """Return the axes and the units per metre of a format: those asked for, else its own."""
+    kind = FORMATS[name]
+    return axes or kind.axes, kind.units_per_m if unit is None else units_per_m(unit)
 
 
 def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: bool) -> Path:
@@ -160,7 +168,7 @@ def report(
         Path | None, typer.Option("--output", "-o", help="The page; else NAME.html beside the recording.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace a file that is there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write one HTML page: loss and clocks by module, status, orientations, joint angles, events, settings.
 
@@ -175,8 +183,8 @@ def report(
     refuse_existing(target, force)
     recording = open_recording(file)
 
-    with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell:
-        found = gather(recording, tell)
+    with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
+        found = gather(recording, progress)
     write_report(found, target)
     if as_json:
         typer.echo(json.dumps({"file": str(target), "poses": found.n_poses, "defect": found.summary.defect}))
@@ -192,21 +200,15 @@ SOME_FAILED, INTERRUPTED = 3, 130
 """Exit codes."""
 
 
+@with_solving
 def batch(
+    wanted: SolvedOtherwise,
     folder: Annotated[Path, typer.Argument(help="Folder with recordings, also in folders below it.")],
     to: Annotated[list[Kind], typer.Option("--to", help="What to make of each; several may be asked for.")],
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Where it goes; else FOLDER_batch beside the folder."),
     ] = None,
-    with_rig: Annotated[
-        str | None, typer.Option("--with", metavar="RIG", help="Solve anew with this rig (file or name).")
-    ] = None,
-    reconstructor: Annotated[str | None, typer.Option(help="Solve anew by this method.")] = None,
-    delay_ms: Annotated[
-        float | None, typer.Option(min=0, max=MAX_DELAY_MS, help="For gyro_free: with poses so much later.")
-    ] = None,
-    smooth: Annotated[bool | None, typer.Option(help="Solve anew, forward and backward.")] = None,
     axes: Annotated[Axes | None, typer.Option(help="World axes of exports; else each format's own.")] = None,
     unit: Annotated[Unit | None, typer.Option(help="Length unit of exports; else each format's own.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; else one for every core.")] = None,
@@ -214,7 +216,7 @@ def batch(
         str | None, typer.Option(metavar="ADDRESS", help="Work on this Dask cluster, tcp://host:8786.")
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Also what is done already.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Export, report or re-solve every recording of a folder, on all cores or on a Dask cluster.
 
@@ -229,18 +231,21 @@ def batch(
     from gateway.recording.snapshot import encode_suit
     from gateway.report.elements import require_matplotlib
 
-    if reconstructor is not None:
-        check_method(reconstructor)
+    if wanted.reconstructor is not None:
+        check_method(wanted.reconstructor)
     if REPORT in to:
         require_matplotlib()
+    for kind in to:
+        if kind in FORMATS:
+            FORMATS[kind].check(*_form(kind, axes, unit))
     task = Task(
         to=tuple(dict.fromkeys(str(kind) for kind in to)),
         axes=None if axes is None else axes.value,
         units_per_m=None if unit is None else units_per_m(unit),
-        suit=None if with_rig is None else encode_suit(load_rig(with_rig)),
-        reconstructor=reconstructor,
-        delay_ms=delay_ms,
-        smooth=smooth,
+        suit=None if wanted.with_rig is None else encode_suit(load_rig(wanted.with_rig)),
+        reconstructor=wanted.reconstructor,
+        delay_ms=wanted.delay_ms,
+        smooth=wanted.smooth,
     )
 
     results = output or folder.resolve().with_name(f"{folder.resolve().name}_batch")
@@ -254,7 +259,7 @@ def batch(
             f"interrupted: {len(outcomes)} done, {left} left; the same command goes on from there", err=True
         )
         raise typer.Exit(INTERRUPTED)
-    _tell_outcomes(outcomes, len(jobs) - len(due), results, as_json)
+    _print_outcomes(outcomes, len(jobs) - len(due), results, as_json)
 
 
 def _run_due(
@@ -265,21 +270,21 @@ def _run_due(
 
     outcomes: list[Outcome] = []
     bar = progress_bar(f"{len(due)} recordings", is_shown=is_shown)
-    with contextlib.suppress(KeyboardInterrupt), bar as tell:
-        tell(0, len(due))
+    with contextlib.suppress(KeyboardInterrupt), bar as progress:
+        progress(0, len(due))
 
         def done(job: Job, outcome: Outcome) -> None:
             # Into the manifest at once: what is finished stays finished, however the batch ends.
             manifest.add(job, outcome)
             outcomes.append(outcome)
-            tell(len(outcomes), len(due))
+            progress(len(outcomes), len(due))
 
         run_jobs(due, done, workers, dask)
     manifest.close()
     return outcomes
 
 
-def _tell_outcomes(outcomes: list[Outcome], skipped: int, results: Path, as_json: bool) -> None:
+def _print_outcomes(outcomes: list[Outcome], skipped: int, results: Path, as_json: bool) -> None:
     outcomes.sort(key=lambda outcome: outcome.name)
     failed = {outcome.name: outcome.error for outcome in outcomes if outcome.error}
     notes = {outcome.name: outcome.note for outcome in outcomes if outcome.note}

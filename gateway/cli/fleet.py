@@ -17,7 +17,7 @@ import typer
 from rich.live import Live
 from rich.table import Table
 
-from gateway.cli.options import BrokerChoice, with_broker
+from gateway.cli.options import AsJson, BrokerChoice, with_broker
 from gateway.cli.terminal import wide_console
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
@@ -64,7 +64,7 @@ def list_gateways(
     seconds: Annotated[
         float, typer.Option(min=1, max=600, help="How long rates and losses are measured.")
     ] = 5,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show every gateway once: wearer, state, rate, loss, delay, disk, versions. Ends with 1 on an alert."""
     rows = asyncio.run(_measured(_at_cluster(broker, failover), read_wearers(wearers), seconds))
@@ -227,12 +227,14 @@ def read_wearers(path: Path | None) -> dict[str, str]:
     import yaml
 
     try:
-        told = yaml.safe_load(path.read_text(encoding="utf-8"))
+        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
         raise GatewayError(f"{path} is no YAML: {str(error).splitlines()[0]}") from None
-    if not isinstance(told, dict) or not all(isinstance(text, str) for pair in told.items() for text in pair):
+    if not isinstance(loaded, dict) or not all(
+        isinstance(text, str) for pair in loaded.items() for text in pair
+    ):
         raise GatewayError(f"{path}: a wearer's name by gateway is wanted, such as gw001: anna")
-    return told
+    return loaded
 
 
 @contextlib.asynccontextmanager
@@ -426,8 +428,8 @@ def add(
     with kept.locked("add"):
         for path in recordings:
             _, rows = kept.add(open_recording(path), path, site, wearer)
-            told = f"{rows} poses" if rows else "no new poses"
-            typer.echo(f"{path}: {told}, wearer {kept.pseudonym(wearer)}")
+            written = f"{rows} poses" if rows else "no new poses"
+            typer.echo(f"{path}: {written}, wearer {kept.pseudonym(wearer)}")
         kept.renew_catalogue()
 
 
@@ -484,11 +486,11 @@ def solve(
     kept = Archive(archive)
     jobs, outcomes = jobs_of(kept, method), list[Solved]()
     with kept.locked("solve"):
-        with progress_bar("solving") as tell:
+        with progress_bar("solving") as progress:
 
             def done(outcome: Solved) -> None:
                 outcomes.append(outcome)
-                tell(len(outcomes), len(jobs))
+                progress(len(outcomes), len(jobs))
 
             run(jobs, done, workers, dask)
         kept.renew_catalogue()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gateway.body.skeleton import WornSuit
-from gateway.cli.options import seconds_of, with_options
+from gateway.cli.options import AsJson, seconds_of, with_options
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.imports.formats import FORMATS
@@ -67,7 +67,7 @@ class Import:
     partial: Annotated[bool, typer.Option("--partial", help="Take what comes before the first damage.")] = (
         False
     )
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False
+    as_json: AsJson = False
 
 
 @with_options(Import)
@@ -102,15 +102,18 @@ def import_files(
         suit = _aligned(recording, suit, settings, wanted.neutral, wanted.forward)
     elif wanted.rig is None and FORMATS[name].axes == "modules":
         notes.append("modules are taken to lie along their segments; --neutral FROM:TO finds how they sit")
-    with progress_bar(f"importing {recording.name}", is_shown=not wanted.as_json) as tell, writing(target):
-        done = write_imported(recording, suit, settings, files, target, tell)
+    with (
+        progress_bar(f"importing {recording.name}", is_shown=not wanted.as_json) as progress,
+        writing(target),
+    ):
+        done = write_imported(recording, suit, settings, files, target, progress)
     outcome = {
         "file": str(done.path), "format": name, "modules": done.modules, "seconds": round(done.seconds, 3),
         "rate_hz": recording.sampling_rate_hz, "poses": done.poses, "reconstructor": settings.reconstructor,
         "segments": {label: _place(suit, module) for module, label in recording.names.items()},
         "notes": [*recording.notes, *notes],
     }  # fmt: skip
-    _tell(outcome, wanted.as_json)
+    _print_outcome(outcome, wanted.as_json)
 
 
 def _suit(
@@ -159,7 +162,7 @@ def _place(suit: WornSuit, module: int) -> str | None:
     return str(suit.skeleton.segment_names[segment])
 
 
-def _tell(outcome: dict[str, object], as_json: bool) -> None:
+def _print_outcome(outcome: dict[str, object], as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(outcome, indent=2, ensure_ascii=False))
         return

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from gateway.cli.options import AsJson
 from gateway.errors import GatewayError, nearest
 from gateway.geometry import compiled
 from gateway.service import readiness
@@ -48,10 +49,10 @@ def build(
     with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
         task = progress.add_task("compiling kernels, once")
 
-        def tell(done: int, of: int) -> None:
+        def report(done: int, of: int) -> None:
             progress.update(task, completed=done, total=of)
 
-        readiness.make_ready(*names, tell=tell, folder=folder)
+        readiness.make_ready(*names, progress=report, folder=folder)
     seconds = time.monotonic() - begun_s
     typer.echo(f"kernels of {', '.join(names)} compiled for {target_name()} in {seconds:.0f} s")
 
@@ -59,7 +60,7 @@ def build(
 @kernels_app.command(epilog="Example: mocap-gateway kernels status joint")
 def status(
     methods: Methods = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show for each method how many of its kernels are ready, what they are compiled for, and where they lie.
 
@@ -67,9 +68,9 @@ def status(
     """
     found = {name: readiness.readiness(name) for name in _known(methods)}
     if as_json:
-        told = {name: {"ready": each.ready, "kernels": each.kernels} for name, each in found.items()}
+        states = {name: {"ready": each.ready, "kernels": each.kernels} for name, each in found.items()}
         folder = str(compiled.CACHE_DIRECTORY)
-        typer.echo(json.dumps({"target": target_name(), "folder": folder, "methods": told}))
+        typer.echo(json.dumps({"target": target_name(), "folder": folder, "methods": states}))
     else:
         for name, each in found.items():
             typer.echo(f"{name}: {readiness.in_words(each)}")

@@ -20,6 +20,7 @@ from devices.device_backup import parse_unique_id
 from gateway.cli.modules_card import card_app
 from gateway.cli.modules_conformance import conformance
 from gateway.cli.modules_suit import WIDEST, Operations, SuitChoice, modules_screen, run_with_suit, with_suit
+from gateway.cli.options import AsJson
 from gateway.cli.terminal import TypedLines, wide_console
 from gateway.errors import GatewayError, nearest
 from gateway.modules.assignment import Proposal, Wardrobe
@@ -39,7 +40,7 @@ def list_modules(
         float, typer.Option(min=0.5, max=30, help="Seconds to measure rates; clocks (ppm) need some 10.")
     ] = 3.0,
     wide: Wide = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List the modules that can be heard. Ends with 1 when two share an id, or a link is not there."""
 
@@ -59,7 +60,7 @@ def discover_modules(
         float, typer.Option(min=1, max=60, help="Seconds to listen; devices announce themselves each second.")
     ] = 3.0,
     host: Annotated[str, typer.Option(help="Address of this computer to listen on.")] = EVERYWHERE,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Find modules of other makers that announce themselves in the network, and print their link lines."""
     found = asyncio.run(discovered(listen, host))
@@ -141,7 +142,7 @@ def set_settings(
     suit: SuitChoice,
     device: Device,
     settings: Annotated[list[str], typer.Argument(metavar="KEY=VALUE...", help="Settings and their values.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Change settings of a module: written, committed, and read back. Needs --allow-writes."""
     wanted = dict(map(_parsed, settings))
@@ -410,9 +411,9 @@ class _Fitting:
         from gateway.modules.motion import AmbiguousMotionError
         from gateway.modules.operations import RequestError
 
-        spoken = segment.replace("_", " ")
+        name = segment.replace("_", " ")
         while True:
-            self._console.print(Text(f"{count} shake or tap the module on the {spoken}", "bold"))
+            self._console.print(Text(f"{count} shake or tap the module on the {name}", "bold"))
             try:
                 found = await self._next_sign()
             except (RequestError, AmbiguousMotionError) as error:

@@ -16,6 +16,7 @@ from devices.card_download import CardFile, download
 from devices.card_recording import convert_card_file
 from devices.link import gateway_time_ns
 from gateway.cli.modules_suit import Operations, SuitChoice, run_with_suit, with_suit
+from gateway.cli.options import AsJson
 from gateway.cli.terminal import wide_console
 from gateway.errors import GatewayError
 from gateway.support.whole_files import writing
@@ -31,7 +32,7 @@ card_app = typer.Typer(help="Files on the memory card of a relay.", no_args_is_h
 def list_files(
     suit: SuitChoice,
     device: Device = "relay",
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List the files on the card."""
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from gateway.cli.options import AsJson
 from gateway.errors import GatewayError, nearest
 
 _MARKS = {"kept": "ok", "broken": "BROKEN", "skipped": "skipped"}
@@ -25,7 +26,7 @@ def conformance(
     rule: Annotated[
         list[str] | None, typer.Option(help="Only this rule (may be given again); default: all of them.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Test a module's firmware against the rules of the wire protocol. Ends with 1 when it breaks one."""
     from devices.conformance import RULES
@@ -52,7 +53,7 @@ async def _report(url: str, device: str | None, allow_writes: bool, only: list[s
             findings.append(found)
             if not as_json:
                 detail = f"\n         {found.detail}" if found.detail else ""
-                typer.echo(f"{_MARKS[found.outcome]:8} {found.rule}: {found.says}{detail}")
+                typer.echo(f"{_MARKS[found.outcome]:8} {found.rule}: {found.statement}{detail}")
     except NoModuleError as error:
         raise GatewayError(f"{url}: {error}") from error
     counts = {outcome: sum(each.outcome == outcome for each in findings) for outcome in _MARKS}

@@ -7,6 +7,7 @@ import json
 import math
 import signal
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,21 +20,21 @@ from devices.deferred import Deferred
 from devices.qtm_link import DEFAULT_PORT
 from gateway.body.skeleton import WornSuit
 from gateway.cli.export import export
-from gateway.cli.options import refuse_existing, seconds_of
+from gateway.cli.options import AsJson, Embedded, ReplaceFiles, refuse_existing, seconds_of, with_options
 from gateway.cli.preparing import make_ready
-from gateway.cli.replay import QUEUE, Brake, speed_of, tell_outcome
+from gateway.cli.replay import Brake, for_playing, print_outcome, speed_of
 from gateway.cli.replay import play as play_link
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
-from gateway.recording.exporters.formats import FORMATS
-from gateway.settings import BodySettings, load_gateway_settings
+from gateway.recording.exporters.formats import FORMATS, check_formats
+from gateway.settings import BodySettings, GatewaySettings, load_gateway_settings
 from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:
     from devices.marker_files import MarkerTrial
-    from gateway.reconstruction.optical.fitting import Fit
+    from gateway.reconstruction.optical.fitting import Fit, FitOptions
     from gateway.recording.optical import SolvedTrial
 
 
@@ -45,7 +46,71 @@ MOST_UNEVEN = 1.15
 """Longer over shorter, of the two segments of one name: beyond it a marker may sit elsewhere."""
 
 
+Length = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--measure", metavar="NAME=METRES", help="A length of the person; without: as the files tell."
+    ),
+]
+WandAngle = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--angle",
+        metavar="NAME=DEGREES",
+        help="By which a wand lies ahead of its joint's axis, such as left_thigh_rotation=8; without: as "
+        "the files tell.",
+    ),
+]
+Up = Annotated[
+    str | None, typer.Option(help="Axis of the files that points up: x, y, z, or -z where z points down.")
+]
+Neutral = Annotated[
+    str | None,
+    typer.Option(metavar="FROM:TO", help="Seconds of neutral standing in the first trial: sets the axes."),
+]
+People = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Whose markers, where files hold several people's (NAME:LASI)."),
+]
+Functional = Annotated[
+    bool, typer.Option("--functional", help="Joint centres where the motion has them, whatever rules say.")
+]
+RulesOnly = Annotated[
+    bool, typer.Option("--rules-only", help="Joint centres where the rules have them, whatever moves.")
+]
+
+
+@dataclass(frozen=True)
+class FitChoice:
+    """What the user said about how a body is fitted."""
+
+    person: People = None
+    measure: Length = None
+    angle: WandAngle = None
+    up: Up = None
+    neutral: Neutral = None
+    functional: Functional = False
+    rules_only: RulesOnly = False
+
+    def options(self) -> FitOptions:
+        """Return the options of the fit. Raises ``GatewayError`` for texts that mean nothing."""
+        from gateway.reconstruction.optical.fitting import FitOptions
+
+        if self.functional and self.rules_only:
+            raise GatewayError("--functional and --rules-only contradict each other: leave one out")
+        return FitOptions(
+            vertical=_axis(self.up),
+            lengths=dict(map(_measurement, self.measure or [])),
+            angles=dict(map(_angle, self.angle or [])),
+            neutral=None if self.neutral is None else seconds_of("--neutral", self.neutral),
+            centres="motion" if self.functional else "rules" if self.rules_only else "both",
+            person=self.person,
+        )
+
+
+@with_options(FitChoice)
 def fit(
+    choice: FitChoice,
     files: Annotated[
         list[Path], typer.Argument(help="Calibration trials, C3D or TRC: a static one first, then motion.")
     ],
@@ -55,91 +120,50 @@ def fit(
             "--set", metavar="SET", help="Marker set: a shipped one, or a file; without: the one that fits."
         ),
     ] = None,
-    person: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Whose markers, where files hold several people's (NAME:LASI)."),
-    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="The subject file; default: after the first trial.")
     ] = None,
-    measure: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=METRES", help="A length of the person; without: as the files tell."),
-    ] = None,
-    angle: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=DEGREES",
-            help="By which a wand lies ahead of its joint's axis, such as left_thigh_rotation=8; without: as "
-            "the files tell.",
-        ),
-    ] = None,
-    up: Annotated[
-        str | None, typer.Option(help="Axis of the files that points up: x, y, z, or -z where z points down.")
-    ] = None,
-    neutral: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FROM:TO", help="Seconds of neutral standing in the first trial: sets the axes."
-        ),
-    ] = None,
-    functional: Annotated[
-        bool,
-        typer.Option("--functional", help="Joint centres where the motion has them, whatever rules say."),
-    ] = False,
-    rules_only: Annotated[
-        bool, typer.Option("--rules-only", help="Joint centres where the rules have them, whatever moves.")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing subject file.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    force: ReplaceFiles = False,
+    as_json: AsJson = False,
 ) -> None:
     """Fit a body to marker trials: bone lengths, joint centres, where markers sit. Writes a subject file.
 
     Joint centres come from the marker set's rules (published regressions) and, as far as the trials move the
     joints, from the motion.
     """
-    from gateway.reconstruction.optical.fitting import FitOptions, fit_body
+    from gateway.reconstruction.optical.fitting import fit_body
     from gateway.reconstruction.optical.marker_set import load_marker_set
     from gateway.reconstruction.optical.worn_markers import fitting_set
 
     target = output or files[0].with_suffix(".yaml")
     refuse_existing(target, force)
-    if functional and rules_only:
-        raise GatewayError("--functional and --rules-only contradict each other: leave one out")
-    options = FitOptions(
-        vertical=_axis(up),
-        lengths=dict(map(_measurement, measure or [])),
-        angles=dict(map(_angle, angle or [])),
-        neutral=None if neutral is None else seconds_of("--neutral", neutral),
-        centres="motion" if functional else "rules" if rules_only else "both",
-        person=person,
-    )
+    options = choice.options()
     known = None if marker_set is None else load_marker_set(marker_set)
     trials = _read_trials(files, not as_json)
-    chosen = known or fitting_set(trials, person)
-    with progress_bar("fitting the body", is_shown=not as_json) as tell:
-        found = fit_body(chosen, trials, options, tell)
+    chosen = known or fitting_set(trials, choice.person)
+    with progress_bar("fitting the body", is_shown=not as_json) as progress:
+        found = fit_body(chosen, trials, options, progress)
     outcome = _fit_outcome(found, files, target)
     _write_fit(found, outcome, target)
     if as_json:
         typer.echo(json.dumps(outcome, indent=2))
     else:
-        _print_fit(found, outcome, functional=functional)
+        _print_fit(found, outcome, functional=choice.functional)
 
 
 def _read_trials(files: list[Path], is_shown: bool) -> list[MarkerTrial]:
     from devices.marker_files import read_markers
 
-    with progress_bar("reading", is_shown=is_shown) as tell:
+    with progress_bar("reading", is_shown=is_shown) as progress:
         trials = []
         for done, file in enumerate(files):
-            tell(done, len(files))
+            progress(done, len(files))
             trials.append(read_markers(file))
-    _tell_notes(trials)
+    _print_notes(trials)
     return trials
 
 
-def _tell_notes(trials: Sequence[MarkerTrial]) -> None:
+def _print_notes(trials: Sequence[MarkerTrial]) -> None:
     for trial in trials:
         for note in trial.notes:
             typer.echo(f"note: {note}", err=True)
@@ -344,8 +368,8 @@ def solve(
     plot: Annotated[
         Path | None, typer.Option(help="Residuals of all markers over time as a picture (.png, .svg, .pdf).")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    force: ReplaceFiles = False,
+    as_json: AsJson = False,
 ) -> None:
     """Solve a trial for a fitted subject, into a recording that replays, exports and reports like any
     other."""
@@ -353,19 +377,17 @@ def solve(
 
     write = _writer_of(method)
     suit = _subject(subject)
-    for name in to or []:
-        if name not in FORMATS:
-            raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
+    check_formats(to or [])
     suffix = "" if method == "default" else f"_{method}"
     target = output or file.with_name(f"{file.stem}{suffix}.mcap")
     refuse_existing(target, force)
     trial = read_markers(file)
-    _tell_notes([trial])
+    _print_notes([trial])
     target.unlink(missing_ok=True)
     if method == "default":
         make_ready(OPTICAL)
-    with progress_bar("solving", is_shown=not as_json) as tell, writing(target):
-        done = write(trial, file, suit, subject, target, tell, person)
+    with progress_bar("solving", is_shown=not as_json) as progress, writing(target):
+        done = write(trial, file, suit, subject, target, progress, person)
     if plot is not None:
         write_residual_plot(done, trial.rate_hz, plot)
     if as_json:
@@ -390,48 +412,25 @@ def play(
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Broker, gateway name and outputs from this file.")
     ] = None,
-    embedded: Annotated[bool, typer.Option("--embedded", help="Publish on a broker of our own.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    embedded: Embedded = False,
+    as_json: AsJson = False,
 ) -> None:
     """Play a trial over MQTT like a live optical system: `watch`, `view` and all else see a suit."""
     from devices.marker_file_link import MarkerFileLink
     from devices.marker_files import read_markers
-    from gateway.recording.optical import optical_settings
     from gateway.service.further_bodies import further_bodies
     from gateway.service.service import Service
 
-    _writer_of(method)
-    if method in OFFLINE:
-        raise GatewayError(
-            f"--method {method} wants all frames at once and cannot stream: `mocap-gateway optical solve "
-            f"{file} --method {method}`, or leave it out"
-        )
-    if person is not None and len(subject) > 1:
-        raise GatewayError("--person goes with one --subject: of several, each has its own markers' names")
+    _refuse_unplayable(file, subject, person, method)
     suit = _subject(subject[0])
     pace = speed_of(speed)
     trial = read_markers(file)
-    _tell_notes([trial])
+    _print_notes([trial])
     assert suit.markers is not None  # _subject sees to it
     for each in subject:
         _refuse_open_names(trial, _subject(each), person)
     make_ready(OPTICAL)
-    settings = optical_settings(subject[0], trial.rate_hz, f"markers://{file.resolve()}")
-    bodies = [BodySettings(name=Path(each).stem, subject=each) for each in subject[1:]]
-    settings = settings.model_copy(update={"bodies": bodies})
-    if config is not None:
-        given = load_gateway_settings(config)
-        kept = {
-            "mqtt": given.mqtt,
-            "gateway": given.gateway,
-            "outputs": given.outputs,
-            "recording": given.recording,
-        }
-        settings = settings.model_copy(update=kept)
-    changes: dict[str, object] = {"queue_length": max(settings.mqtt.queue_length, QUEUE)}
-    if embedded:
-        changes.update(broker="embedded", host="127.0.0.1")
-    settings = settings.model_copy(update={"mqtt": settings.mqtt.model_copy(update=changes)})
+    settings = _played_settings(file, subject, trial.rate_hz, config, embedded=embedded)
     labels = suit.markers.labels if len(subject) == 1 else ()  # of several, each finds its own
     link = MarkerFileLink(file, speed=pace, name="markers", labels=labels, person=person)
     others = further_bodies(settings)
@@ -441,7 +440,41 @@ def play(
     topics = ", ".join(f"{settings.mqtt.base_topic}/{name}/pose" for name in names)
     typer.echo(f"playing to {topics}; Ctrl-C ends", err=True)
     asyncio.run(play_link(service, link, as_json))
-    tell_outcome(service, as_json)
+    print_outcome(service, as_json)
+
+
+def _refuse_unplayable(file: Path, subject: Sequence[str], person: str | None, method: str) -> None:
+    """Raise ``GatewayError`` for options that do not go together, or a method that cannot stream."""
+    _writer_of(method)
+    if method in OFFLINE:
+        raise GatewayError(
+            f"--method {method} wants all frames at once and cannot stream: `mocap-gateway optical solve "
+            f"{file} --method {method}`, or leave it out"
+        )
+    if person is not None and len(subject) > 1:
+        raise GatewayError("--person goes with one --subject: of several, each has its own markers' names")
+
+
+def _played_settings(
+    file: Path, subject: Sequence[str], rate_hz: float, config: Path | None, *, embedded: bool
+) -> GatewaySettings:
+    """Return the configuration that a trial is played with: a body for each subject after the first, and what
+    ``config`` says of broker, name and outputs."""
+    from gateway.recording.optical import optical_settings
+
+    settings = optical_settings(subject[0], rate_hz, f"markers://{file.resolve()}")
+    changes: dict[str, object] = {
+        "bodies": [BodySettings(name=Path(each).stem, subject=each) for each in subject[1:]]
+    }
+    if config is not None:
+        given = load_gateway_settings(config)
+        changes |= {
+            "mqtt": given.mqtt,
+            "gateway": given.gateway,
+            "outputs": given.outputs,
+            "recording": given.recording,
+        }
+    return for_playing(settings.model_copy(update=changes), embedded=embedded)
 
 
 def _writer_of(method: str) -> Callable[..., SolvedTrial]:

@@ -44,6 +44,10 @@ def with_options(group: type[Any]) -> Callable[[Command], Command]:
     return dressed
 
 
+AsJson = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")]
+Embedded = Annotated[bool, typer.Option("--embedded", help="Publish on a broker of our own.")]
+ReplaceFiles = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
+
 Host = Annotated[str, typer.Option(help="Host of the MQTT broker.")]
 Port = Annotated[int, typer.Option(min=1, max=65535, help="Port of the MQTT broker.")]
 Username = Annotated[str | None, typer.Option(help="User name at the broker.")]

@@ -23,7 +23,7 @@ _USUAL = "compiling the reconstruction once, for up to a minute; later starts fi
 
 
 @contextlib.contextmanager
-def report_compiling(tell: Callable[[str], object], line: str = _USUAL) -> Iterator[None]:
+def report_compiling(show: Callable[[str], object], line: str = _USUAL) -> Iterator[None]:
     """Print a line when the first kernel is compiled during the work, and one at the end.
 
     Nothing is said when all of them come from the cache. Numba is imported: for where it is needed anyway.
@@ -36,7 +36,7 @@ def report_compiling(tell: Callable[[str], object], line: str = _USUAL) -> Itera
         def on_start(self, event: Any) -> None:
             if self.begun_s is None:
                 self.begun_s = time.monotonic()
-                tell(line)
+                show(line)
 
         def on_end(self, event: Any) -> None:
             """The end of one kernel, of many."""
@@ -45,7 +45,7 @@ def report_compiling(tell: Callable[[str], object], line: str = _USUAL) -> Itera
     with event.install_listener("numba:compile", watch), _interruptible():
         yield
     if watch.begun_s is not None:
-        tell(f"compiled ({time.monotonic() - watch.begun_s:.0f} s)")
+        show(f"compiled ({time.monotonic() - watch.begun_s:.0f} s)")
 
 
 @contextlib.contextmanager
@@ -95,15 +95,15 @@ def make_ready(reconstructor: str) -> None:
         readiness.make_ready(reconstructor)
 
 
-def stand_in(settings: GatewaySettings, tell: Callable[[str], object]) -> GatewaySettings:
+def stand_in(settings: GatewaySettings, show: Callable[[str], object]) -> GatewaySettings:
     """Return the settings that run while the method of these is compiled; what they need is compiled here."""
     from gateway.service import readiness
 
     if not readiness.is_ready(readiness.FIRST):
         begun_s = time.monotonic()
-        tell(_FIRST)
-        with progress_bar("compiling", is_shown=sys.stderr.isatty()) as told:
-            readiness.make_ready(readiness.FIRST, tell=told)
-        tell(f"compiled ({time.monotonic() - begun_s:.0f} s)")
+        show(_FIRST)
+        with progress_bar("compiling", is_shown=sys.stderr.isatty()) as progress:
+            readiness.make_ready(readiness.FIRST, progress=progress)
+        show(f"compiled ({time.monotonic() - begun_s:.0f} s)")
     in_its_place = RootMotionSettings(mode=RootMode.FIXED)
     return settings.solved_by(readiness.FALLBACK).model_copy(update={"root_motion": in_its_place})

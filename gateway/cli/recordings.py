@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from devices.recording_file import RecordingError
+from gateway.cli.options import AsJson
 from gateway.cli.terminal import progress_bar, wide_console
 from gateway.errors import GatewayError
 from gateway.support.whole_files import writing
@@ -23,9 +24,6 @@ from gateway.viewer.printable import printable
 if TYPE_CHECKING:
     from gateway.recording import RecordingMeta
     from gateway.recording.summary import RecordingSummary
-
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for a script.")]
 
 
 def recordings(
@@ -102,11 +100,13 @@ def recover(
 
     if in_place and output is not None:
         raise GatewayError("--in-place or --output: not both")
-    with progress_bar("recovering") as tell:
+    with progress_bar("recovering") as progress:
         if in_place:
-            done = recover_in_place(file, tell)
+            done = recover_in_place(file, progress)
         else:
-            done = recover_file(file, output or file.with_name(f"{file.stem}.recovered{file.suffix}"), tell)
+            done = recover_file(
+                file, output or file.with_name(f"{file.stem}.recovered{file.suffix}"), progress
+            )
     typer.echo(f"{done.path}: {done.messages} messages; {done.defect or 'nothing was wrong with it'}")
 
 

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from devices.replay_link import ReplayLink
+from gateway.cli.options import AsJson, Embedded
 from gateway.cli.preparing import make_ready
 from gateway.cli.run import until_signal
+from gateway.cli.solving_options import SolvedOtherwise, with_solving
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError, SettingsError
-from gateway.settings import MAX_DELAY_MS, load_gateway_settings
+from gateway.settings import GatewaySettings, load_gateway_settings
 from gateway.support.processor import NATIVE
 
 if TYPE_CHECKING:
@@ -39,25 +41,30 @@ def replay_live(
     from gateway.recording.solving import with_recorded_table
     from gateway.service.service import Service
 
-    mqtt = source.settings.mqtt
-    # At full speed poses come in bursts: a short queue would drop what a live suit never would.
-    changes: dict[str, object] = {"queue_length": max(mqtt.queue_length, QUEUE)}
-    if embedded:
-        # A recording that is played must not record itself.
-        changes.update(broker="embedded", host="127.0.0.1")
-    kept = source.settings.recording.model_copy(update={"at_start": False})
-    settings = source.settings.model_copy(update={"mqtt": mqtt.model_copy(update=changes), "recording": kept})
+    settings = for_playing(source.settings, embedded=embedded)
+    # A recording that is played must not record itself.
+    kept = settings.recording.model_copy(update={"at_start": False})
+    settings = settings.model_copy(update={"recording": kept})
     link = ReplayLink(recording.meta.path, speed=speed)
     with with_recorded_table(recording, settings) as complete:
         service = Service(complete, source.suit, [link])
 
     link.hold = Brake(service, is_paced=speed is not None).hold
-    typer.echo(f"playing to {mqtt.base_topic}/{settings.gateway}/pose; Ctrl-C ends", err=True)
+    typer.echo(f"playing to {settings.mqtt.base_topic}/{settings.gateway}/pose; Ctrl-C ends", err=True)
     asyncio.run(play(service, link, as_json))
-    tell_outcome(service, as_json)
+    print_outcome(service, as_json)
 
 
-def tell_outcome(service: Service, as_json: bool) -> None:
+def for_playing(settings: GatewaySettings, *, embedded: bool) -> GatewaySettings:
+    """Return settings with a queue for poses that come in bursts. embedded: with a broker of our own."""
+    # At full speed a short queue would drop what a live suit never would.
+    changes: dict[str, object] = {"queue_length": max(settings.mqtt.queue_length, QUEUE)}
+    if embedded:
+        changes.update(broker="embedded", host="127.0.0.1")
+    return settings.model_copy(update={"mqtt": settings.mqtt.model_copy(update=changes)})
+
+
+def print_outcome(service: Service, as_json: bool) -> None:
     """Print how many poses were made, published and dropped."""
     counters = service.mqtt.counters
     outcome = {"poses": service.pipeline.skeleton_frames, "published": counters.published}
@@ -92,14 +99,19 @@ class Brake:
 async def play(service: Service, link: ReplayLink | MarkerFileLink, as_json: bool) -> None:
     """Run the service until the link has come to its end, with a progress bar."""
     running = asyncio.ensure_future(until_signal(service))
-    with progress_bar("playing", is_shown=not as_json) as tell, contextlib.suppress(asyncio.CancelledError):
+    with (
+        progress_bar("playing", is_shown=not as_json) as progress,
+        contextlib.suppress(asyncio.CancelledError),
+    ):
         while not running.done():
-            tell(link.position, link.size)
+            progress(link.position, link.size)
             await asyncio.wait({running}, timeout=_REFRESH_S)
         await running
 
 
+@with_solving
 def replay(
+    wanted: SolvedOtherwise,
     file: Annotated[Path, typer.Argument(help="Recording; later parts of its session follow by themselves.")],
     speed: Annotated[
         str, typer.Option(help="1: as recorded, 2: twice as fast, …, max: as fast as it goes.")
@@ -108,53 +120,35 @@ def replay(
     verified: Annotated[
         bool, typer.Option("--verify", help="Recompute, and compare with the recorded poses byte by byte.")
     ] = False,
-    with_rig: Annotated[
-        str | None,
-        typer.Option(
-            "--with", metavar="RIG", help="Solve with this rig (file or name), write a new recording."
-        ),
-    ] = None,
-    reconstructor: Annotated[
-        str | None, typer.Option(help="Solve with this method, write a new recording.")
-    ] = None,
-    delay_ms: Annotated[
-        float | None,
-        typer.Option(min=0, max=MAX_DELAY_MS, help="For gyro_free: poses come so much later, and better."),
-    ] = None,
-    smooth: Annotated[
-        bool | None,
-        typer.Option(help="Solve forward and backward: more accurate, write a new recording."),
-    ] = None,
     output: Annotated[
         Path | None, typer.Option(help="The new recording; given alone: solve as recorded.")
     ] = None,
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Broker and gateway name from this file instead.")
     ] = None,
-    embedded: Annotated[bool, typer.Option("--embedded", help="Publish on a broker of our own.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    embedded: Embedded = False,
+    as_json: AsJson = False,
 ) -> None:
     """Play a recording: over MQTT like a live suit, or recomputed at once.
 
+    With --with, --reconstructor, --delay-ms or --smooth it is solved anew, into a new recording.
     With --verify it ends with 1 unless every recorded pose comes out again, bit for bit: it does with the
     same version, configuration and libraries, for recordings that began with the gateway.
     """
     from gateway.recording import open_recording
 
     recording = open_recording(file)
-    source = _source(recording, with_rig, reconstructor, config, smooth, delay_ms)
+    source = _source(recording, wanted, config)
     make_ready(source.settings.reconstructor)
-    is_other = bool(with_rig or reconstructor or delay_ms is not None or smooth is not None)
     if verified:
-        if is_other:
+        if wanted.is_asked_for:
             raise GatewayError(
                 "--verify compares with the recorded poses: leave out --with, --reconstructor, --delay-ms, "
                 "--smooth"
             )
         _verify(recording, as_json)
-    elif is_other or output:
-        target = output or _target(file, with_rig, reconstructor, smooth, delay_ms)
-        _solve(recording, source, target, as_json)
+    elif wanted.is_asked_for or output:
+        _solve(recording, source, output or wanted.target(file), as_json)
     elif offline:
         _solve(recording, source, None, as_json)
     else:
@@ -176,14 +170,7 @@ def _note_others(recording: Recording, source: Source) -> None:
         )
 
 
-def _source(
-    recording: Recording,
-    with_rig: str | None,
-    reconstructor: str | None,
-    config: Path | None,
-    smooth: bool | None = None,
-    delay_ms: float | None = None,
-) -> Source:
+def _source(recording: Recording, wanted: SolvedOtherwise, config: Path | None) -> Source:
     """Return what to solve with: as recorded, but for what was asked otherwise."""
     from gateway.body.rig import load_rig
     from gateway.recording.solving import Source
@@ -200,20 +187,12 @@ def _source(
     settings = meta.settings if meta.has_suit or given is None else given
     if given is not None:
         settings = settings.model_copy(update={"mqtt": given.mqtt, "gateway": given.gateway})
-    settings = settings.solved_by(reconstructor, delay_ms)
-    if with_rig is not None:
-        settings = settings.model_copy(update={"rig": with_rig})
-    suit = load_rig(with_rig) if with_rig else meta.suit if meta.has_suit else load_rig(settings.rig, config)
-    return Source(suit, settings, meta.smoothed if smooth is None else smooth)
-
-
-def _target(
-    file: Path, with_rig: str | None, reconstructor: str | None, smooth: bool | None, delay_ms: float | None
-) -> Path:
-    rig, way = Path(with_rig).stem if with_rig else None, {True: "smoothed", False: "forward", None: None}
-    late = None if delay_ms is None else f"{delay_ms:g}ms"
-    marks = [mark for mark in (rig, reconstructor, late, way[smooth]) if mark]
-    return file.with_name(f"{file.stem}_{'_'.join(marks)}.mcap")
+    settings = settings.solved_by(wanted.reconstructor, wanted.delay_ms)
+    rig = wanted.with_rig
+    if rig is not None:
+        settings = settings.model_copy(update={"rig": rig})
+    suit = load_rig(rig) if rig else meta.suit if meta.has_suit else load_rig(settings.rig, config)
+    return Source(suit, settings, meta.smoothed if wanted.smooth is None else wanted.smooth)
 
 
 def speed_of(text: str) -> float | None:
@@ -232,8 +211,8 @@ def speed_of(text: str) -> float | None:
 def _verify(recording: Recording, as_json: bool) -> None:
     from gateway.recording.solving import verify
 
-    with progress_bar("verifying", is_shown=not as_json) as tell:
-        found = verify(recording, tell)
+    with progress_bar("verifying", is_shown=not as_json) as progress:
+        found = verify(recording, progress)
     if as_json:
         outcome = {
             "identical": found.is_identical,
@@ -277,15 +256,15 @@ def _solve(recording: Recording, source: Source, target: Path | None, as_json: b
     begun = 0.0
     with progress_bar("solving", is_shown=not as_json) as bar:
 
-        def tell(done: int, total: int) -> None:
+        def report(done: int, total: int) -> None:
             nonlocal begun
             begun = begun or time.perf_counter()  # the preparations are over
             bar(done, total)
 
         if target is not None:
-            frames = write_solved(recording, target, source, tell)
+            frames = write_solved(recording, target, source, report)
         else:
-            for frame in solve(recording, source, tell):
+            for frame in solve(recording, source, report):
                 first_ns, last_ns, frames = first_ns or frame.time_ns, frame.time_ns, frames + 1
     elapsed_s = time.perf_counter() - begun
     outcome = {

@@ -52,7 +52,7 @@ def run(
     awaited = _awaited(fitting_suit(configured, suit).reconstructor, suit)
     set_up_logging(configured.log.level, configured.log.format)
     service = _load(config, awaited=awaited)
-    _tell(service)
+    _log_start(service)
     asyncio.run(_Supervisor(config, service, awaited).run())
 
 
@@ -86,7 +86,7 @@ def _load(config: Path, awaited: str | None = None) -> Service:
         return Service(settings, suit, awaited=awaited, others=others, config=config)
 
 
-def _tell(service: Service) -> None:
+def _log_start(service: Service) -> None:
     settings, suit = service.settings, service.pipeline.suit
     links = ", ".join(f"{link.name} ({link.url})" for link in settings.links)
     n_modules, body = len(suit.module_ids), suit.skeleton.name
@@ -197,7 +197,7 @@ class _Supervisor:
         self._service, self._next = service, None
         self._is_settled.set()
         set_up_logging(service.settings.log.level, service.settings.log.format)
-        _tell(service)
+        _log_start(service)
 
     def _stop(self) -> None:
         notify("STOPPING=1")

@@ -26,16 +26,17 @@ def wide_console(narrowest: int = 0) -> Console:
 
 @contextlib.contextmanager
 def progress_bar(what: str, *, is_shown: bool = True) -> Iterator[Callable[[int, int], None]]:
-    """Show ``with progress_bar("reading") as tell: tell(done, total)`` on standard error, gone at the end."""
+    """Show a bar on standard error, gone at the end: ``with progress_bar("reading") as progress:
+    progress(done, total)``."""
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not is_shown) as progress:
         task = progress.add_task(what, total=None)
 
-        def tell(done: int, total: int) -> None:
+        def report(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total)
 
-        yield tell
+        yield report
 
 
 class TypedLines:

@@ -18,13 +18,21 @@ from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, axis_of, load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.cameras.camera_process import CameraTask
-from gateway.cli.options import CaFile, PasswordFile, Protocol, Username, broker_settings, refuse_existing
+from gateway.cli.options import (
+    CaFile,
+    PasswordFile,
+    Protocol,
+    ReplaceFiles,
+    Username,
+    broker_settings,
+    refuse_existing,
+)
 from gateway.cli.terminal import progress_bar
 from gateway.contract.topics import CAMERA
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.person_detector import MOST_PEOPLE
 from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
-from gateway.support.video_extra import require_video_extra
+from gateway.support.extras import require_video_extra
 
 if TYPE_CHECKING:
     from gateway.cameras.serving import Sink
@@ -109,18 +117,18 @@ def named(places: Sequence[str], known: list[str], calibration: Path) -> dict[st
     """Place by camera, in the order of ``known``; raises as ``matched`` does."""
     if len(places) > len(known):
         raise GatewayError(f"{len(places)} cameras are given, and {calibration} holds {len(known)}")
-    told: dict[str, str] = {}
+    path_of: dict[str, str] = {}
     for place in places:
         name, separator, rest = place.partition("=")
         if separator and name in known:
             found, path = [name], rest
         else:
             path = place
-            found = [each for each in known if _speaks_of(Path(path), each)]
-        if len(found) != 1 or found[0] in told:
+            found = [each for each in known if _names_camera(Path(path), each)]
+        if len(found) != 1 or found[0] in path_of:
             return _in_order(places, known, calibration)
-        told[found[0]] = path
-    return {name: told[name] for name in known if name in told}
+        path_of[found[0]] = path
+    return {name: path_of[name] for name in known if name in path_of}
 
 
 def _in_order(places: Sequence[str], known: list[str], calibration: Path) -> dict[str, str]:
@@ -132,7 +140,7 @@ def _in_order(places: Sequence[str], known: list[str], calibration: Path) -> dic
     return dict(zip(known, places, strict=True))
 
 
-def _speaks_of(path: Path, name: str) -> bool:
+def _names_camera(path: Path, name: str) -> bool:
     """Return whether the camera's name stands in the file's as a word of its own."""
     return re.search(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])", path.stem) is not None
 
@@ -190,7 +198,7 @@ def overlay(
     heat_maps: Annotated[bool, typer.Option(help="Draw the heat maps too.")] = True,
     offset: Offset = None,
     rate: Rate = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
+    force: ReplaceFiles = False,
 ) -> None:
     """Draw skeleton and heat maps on the pictures of all cameras, side by side: a film or pictures."""
     from gateway.cameras.film import drawn_instants, write_film
@@ -218,8 +226,10 @@ def overlay(
     rows = (tuple(picture for _, picture in row) for row in zip(*pictures, strict=False))
     drawn = drawn_instants(opened, video, rows, height=height, every=every, has_maps=heat_maps)
     total = min(source.info.count or 0 for source in sources) // every
-    with progress_bar("drawing") as tell:
-        written = write_film(drawn, target, sources[0].info.rate_hz / every, lambda done: tell(done, total))
+    with progress_bar("drawing") as progress:
+        written = write_film(
+            drawn, target, sources[0].info.rate_hz / every, lambda done: progress(done, total)
+        )
     typer.echo(f"{target}: {written} pictures")
 
 
@@ -271,7 +281,7 @@ def serve_camera(
     task = CameraTask(name, place, network, rate)
     if mqtt is None:
         with listening(host, port) as listener:
-            _tell(f"camera '{name}' at tcp://{host}:{listener.getsockname()[1]}; Ctrl-C ends")
+            _print_line(f"camera '{name}' at tcp://{host}:{listener.getsockname()[1]}; Ctrl-C ends")
             _serve(task, Outlet(listener), speed, begin_s, people)
         return
     broker, _, number = mqtt.rpartition(":")
@@ -284,7 +294,7 @@ def serve_camera(
         ca_file, host=broker, port=int(number), username=username, password_file=password_file,
         protocol=protocol,
     )  # fmt: skip
-    _tell(f"camera '{name}' on topic {topic} of {mqtt}; Ctrl-C ends")
+    _print_line(f"camera '{name}' on topic {topic} of {mqtt}; Ctrl-C ends")
     _serve(task, BrokerOutlet(settings, topic), speed, begin_s, people)
 
 
@@ -296,7 +306,7 @@ def _serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None, pe
     typer.echo(f"{done.messages} pictures, {done.sent} messages sent, {done.skipped} left out")
 
 
-def _tell(text: str) -> None:
+def _print_line(text: str) -> None:
     typer.echo(text, err=True)
 
 

@@ -6,7 +6,7 @@ import itertools
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -19,7 +19,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.calibration.cameras_file import axis_of, load_cameras
 from gateway.cameras.camera_process import CameraTask
 from gateway.cli.export import export
-from gateway.cli.options import refuse_existing, with_options
+from gateway.cli.options import AsJson, ReplaceFiles, refuse_existing, with_options
 from gateway.cli.terminal import progress_bar
 from gateway.cli.video import (
     Cameras,
@@ -35,8 +35,8 @@ from gateway.cli.video import (
 )
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.weights import weights_of
-from gateway.recording.exporters.formats import FORMATS
-from gateway.support.video_extra import require_video_extra
+from gateway.recording.exporters.formats import FORMATS, check_formats
+from gateway.support.extras import require_video_extra
 from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:
@@ -47,6 +47,16 @@ if TYPE_CHECKING:
 
 Instants = list[list[bytes]]
 """Messages of one person: of every instant, one a camera."""
+
+
+class Capture(NamedTuple):
+    """What the cameras saw."""
+
+    cameras: Sequence[Camera]
+    network: str
+    """Which keypoints there are: a network, or the set of another program."""
+    people: list[Instants]
+    rate_hz: float
 
 
 @with_options(Pictures)
@@ -86,8 +96,8 @@ def solve(
     unequal: Annotated[
         bool, typer.Option("--unequal", help="Take the common pictures of files that differ in length.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    force: ReplaceFiles = False,
+    as_json: AsJson = False,
 ) -> None:
     """Solve synchronised videos of calibrated cameras, into a recording that replays, exports and reports
     like any other.
@@ -107,36 +117,42 @@ def solve(
         )
     target = _target(files, output, to or [])
     _places(target, wanted or 1, force=force)
-    network = pictures.network
     if all(is_keypoints(each.rpartition("=")[2]) for each in files):
-        seen, network, captured, rate_hz = _imported(files, cameras, pictures, wanted, frames)
+        capture = _imported(files, cameras, pictures, wanted, frames)
     else:
         require_video_extra()
         seen, tasks = matched(files, cameras, pictures)
         options = RigOptions(not unequal, wanted, joined_of(join or [], seen))
-        captured, rate_hz = looked_at(seen, tasks, frames, options, is_shown=not as_json)
-    if len(seen) < 2:
-        typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
-    if synchronise:
-        captured = _in_step(seen, captured)
-    if wanted is None:
-        captured = _real_people(captured, seen)
+        found, rate_hz = looked_at(seen, tasks, frames, options, is_shown=not as_json)
+        capture = Capture(seen, pictures.network, found, rate_hz)
+    people_seen = _sorted_out(capture, synchronise=synchronise, is_number_known=wanted is not None)
     known = None if subject is None else load_rig(str(subject))
     outcomes = []
-    for messages, place, person in _people(captured, target, fit_subject, force=force):
-        checked = consistency_of(seen, messages)
+    for messages, place, person in _people(people_seen, target, fit_subject, force=force):
+        checked = consistency_of(capture.cameras, messages)
         checked.refuse_wrong(cameras)
-        suit = video_suit(seen, network, messages, known)
+        suit = video_suit(capture.cameras, capture.network, messages, known)
         if person is not None:
             _write_subject(person, suit, force=force)
-        done = _written(messages, rate_hz, suit, place, offline=offline, is_shown=not as_json)
-        outcomes.append(_outcome(done, checked, len(seen)))
+        done = _written(messages, capture.rate_hz, suit, place, offline=offline, is_shown=not as_json)
+        outcomes.append(_outcome(done, checked, len(capture.cameras)))
         if not as_json:
-            _tell(outcomes[-1])
+            _print_outcome(outcomes[-1])
         if to:
             export(place, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
     if as_json:
         typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
+
+
+def _sorted_out(capture: Capture, *, synchronise: bool, is_number_known: bool) -> Sequence[Instants]:
+    """Return the people of a capture: cameras brought into step where that is asked, and only real people
+    where nobody said how many there are."""
+    found = capture.people
+    if len(capture.cameras) < 2:
+        typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
+    if synchronise:
+        found = _in_step(capture.cameras, found)
+    return found if is_number_known else _real_people(found, capture.cameras)
 
 
 def _in_step(cameras: Sequence[Camera], captured: Sequence[Instants]) -> list[Instants]:
@@ -146,15 +162,15 @@ def _in_step(cameras: Sequence[Camera], captured: Sequence[Instants]) -> list[In
     checked = consistency_of(cameras, captured[0])
     if not checked.offsets:
         return list(captured)
-    told = ", ".join(f"{name} {late}" for name, late in zip(checked.names, checked.skipped, strict=True))
-    typer.echo(f"note: pictures left out so that the cameras are in step: {told}", err=True)
+    listed = ", ".join(f"{name} {late}" for name, late in zip(checked.names, checked.skipped, strict=True))
+    typer.echo(f"note: pictures left out so that the cameras are in step: {listed}", err=True)
     return [in_step(messages, checked.skipped) for messages in captured]
 
 
 def _imported(
     files: Sequence[str], calibration: Path, pictures: Pictures, wanted: int | None, frames: int | None
-) -> tuple[tuple[Camera, ...], str, list[Instants], float]:
-    """Return cameras, keypoint set, messages by person and rate of keypoints that another program found."""
+) -> Capture:
+    """Return keypoints that another program found."""
     from devices.cameras.keypoint_files import read_keypoints
     from gateway.cameras.imported_keypoints import keypoint_messages
 
@@ -169,7 +185,7 @@ def _imported(
     read = [read_keypoints(Path(place)) for place in places.values()]
     skipped = offsets_of(pictures.offset or [], list(known))
     network, captured = keypoint_messages(cameras, read, skipped, pictures.rate, wanted)
-    return cameras, network, [each[:frames] for each in captured], pictures.rate
+    return Capture(cameras, network, [each[:frames] for each in captured], pictures.rate)
 
 
 def _real_people(captured: list[Instants], cameras: Sequence[Camera]) -> list[Instants]:
@@ -208,9 +224,7 @@ def _named(path: Path, n: int) -> list[Path]:
 
 def _target(files: Sequence[str], output: Path | None, to: Sequence[str]) -> Path:
     """Return where the recording goes. Raises ``GatewayError`` when a format is unknown."""
-    for name in to:
-        if name not in FORMATS:
-            raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
+    check_formats(to)
     return output or Path(files[0].rpartition("=")[2]).with_suffix(".mcap")
 
 
@@ -228,8 +242,8 @@ def _written(
 
     target.unlink(missing_ok=True)
     write = write_offline_video if offline else write_solved_video
-    with progress_bar("solving", is_shown=is_shown) as tell, writing(target):
-        return write(messages, rate_hz, suit, target.stem, target, tell)
+    with progress_bar("solving", is_shown=is_shown) as progress, writing(target):
+        return write(messages, rate_hz, suit, target.stem, target, progress)
 
 
 def _write_subject(path: Path, suit: WornSuit, *, force: bool) -> None:
@@ -255,7 +269,7 @@ def looked_at(
 
     keypoints = load_keypoint_set(weights_of(tasks[0].network).keypoint_set)
     with (
-        progress_bar("looking at pictures", is_shown=is_shown) as tell,
+        progress_bar("looking at pictures", is_shown=is_shown) as progress,
         CameraRig(cameras, tasks, keypoints, options) as rig,
     ):
         if rig.count is None and frames is None:
@@ -265,11 +279,11 @@ def looked_at(
         for done, instant in enumerate(itertools.islice(rig, total), start=1):
             for messages, each in zip(captured, instant, strict=True):
                 messages.append(each)
-            tell(done, total)
+            progress(done, total)
         doubles = rig.same_as
         if doubles and is_shown:
-            told = ", ".join(f"{double + 1} as {first + 1}" for double, first in sorted(doubles.items()))
-            typer.echo(f"note: one person was found more than once ({told}): counted once", err=True)
+            listed = ", ".join(f"{double + 1} as {first + 1}" for double, first in sorted(doubles.items()))
+            typer.echo(f"note: one person was found more than once ({listed}): counted once", err=True)
         return [each for k, each in enumerate(captured) if k not in doubles], rig.rate_hz
 
 
@@ -284,7 +298,7 @@ def _outcome(done: SolvedVideo, checked: Consistency, n_cameras: int) -> dict[st
     }
 
 
-def _tell(outcome: dict[str, Any]) -> None:
+def _print_outcome(outcome: dict[str, Any]) -> None:
     if outcome["keypoints"]:
         table = Table("keypoint", "tracked %", "mean likelihood a camera")
         for name, each in outcome["keypoints"].items():

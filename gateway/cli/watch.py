@@ -17,7 +17,6 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
-from devices.extras import how_to_add
 from devices.link import gateway_time_ns
 from gateway.cli.options import BrokerChoice, with_broker
 from gateway.cli.terminal import progress_bar
@@ -25,6 +24,7 @@ from gateway.contract.topics import ANY_GATEWAY
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
 from gateway.support.credentials import AccessToken, CredentialError, read_secret, token_for
+from gateway.support.extras import require_package
 from gateway.viewer.printable import printable
 
 if TYPE_CHECKING:
@@ -290,10 +290,9 @@ class _Servers(NamedTuple):
 @contextlib.asynccontextmanager
 async def _page(place: _Place) -> AsyncIterator[_Servers]:
     """Serve a page behind its gate, while it is wanted. Raises ``GatewayError`` without the extra."""
-    try:
-        import viser
-    except ImportError:
-        raise GatewayError(f"the page needs the extra 'viewer': {how_to_add('viewer')}") from None
+    require_package("viser")
+    import viser
+
     from gateway.viewer.gate import Door, Gate
 
     with contextlib.redirect_stdout(io.StringIO()):  # it would name the port behind the gate
@@ -318,6 +317,14 @@ async def _page(place: _Place) -> AsyncIterator[_Servers]:
 async def _serve_live(
     settings: MqttSettings, gateway: str, place: _Place, waits: bool, muscles_kg: float | None
 ) -> None:
+    """Show poses as they come. Raises ``BrokerUnreachableError`` without a broker, unless ``waits``."""
+    from gateway.outputs.subscriber import PoseSubscriber
+
+    require_package("viser")
+    if not waits:
+        # The address of a page that ends at once for want of a broker would only mislead.
+        async with PoseSubscriber(settings, gateway):
+            pass
     async with _page(place) as servers:
         from gateway.viewer.live import LiveViewer
 
@@ -332,13 +339,13 @@ async def _serve_recording(
 ) -> None:
     from gateway.recording import open_recording
 
-    with progress_bar(f"reading {recording.name}") as tell:
+    with progress_bar(f"reading {recording.name}") as progress:
         opened = open_recording(recording)
-        arrays = opened.skeleton_arrays(tell)
+        arrays = opened.skeleton_arrays(progress)
     compared = None
     if compare is not None:
-        with progress_bar(f"reading {compare.name}") as tell:
-            compared = open_recording(compare).skeleton_arrays(tell)
+        with progress_bar(f"reading {compare.name}") as progress:
+            compared = open_recording(compare).skeleton_arrays(progress)
     async with _page(place) as servers:
         from gateway.viewer.marker_points import recorded_markers
         from gateway.viewer.playback import Playback

@@ -41,7 +41,7 @@ class ArrivalLine:
         self._first_ns = 0
         self._arrived_ns = 0
         self._samples = -1
-        self._heard = 0
+        self._n_arrivals = 0
         self._needed = _LEAST_SAMPLES
         """Samples since ``_first_ns`` from which the interval is a mean over them."""
         self._line_ns = 0.0
@@ -90,10 +90,10 @@ class ArrivalLine:
         """Take in the time since the sample before."""
         since_ns, self._arrived_ns = arrived_ns - self._arrived_ns, arrived_ns
         self._samples += intervals
-        self._heard += 1
+        self._n_arrivals += 1
         if self._samples > _REMEMBERED and self.interval_ns:
             self.interval_ns += (since_ns - intervals * self.interval_ns) / _REMEMBERED
-        elif since_ns < _TOGETHER_NS and not self.interval_ns and self._heard < _MANY_SAMPLES:
+        elif since_ns < _TOGETHER_NS and not self.interval_ns and self._n_arrivals < _MANY_SAMPLES:
             self._first_ns, self._samples = arrived_ns, 0
         elif self._samples >= self._needed:
             self.interval_ns = max(1.0, (arrived_ns - self._first_ns) / self._samples)

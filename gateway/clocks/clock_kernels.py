@@ -34,7 +34,7 @@ def full_count(clock: Clock, stamp_us: int, arrived_ns: int) -> int:
     if clock.kind == ESTIMATED:
         expected_us = clock.expected_us + (arrived_ns - clock.start_ns) // MICROSECOND_NS
     elif clock.kind == SHARED:
-        expected_us = counter.newest_us + (arrived_ns - clock.heard_ns) // MICROSECOND_NS
+        expected_us = counter.newest_us + (arrived_ns - clock.received_ns) // MICROSECOND_NS
     else:
         return UNUSUAL
     # The counter has 32 bits: the nearest full count to the expected one is meant.
@@ -55,7 +55,7 @@ def follow_clock(clock: Clock, full_us: int, arrived_ns: int) -> int:
     counter = clock.counter
     if clock.kind == SHARED:
         if full_us > counter.newest_us:
-            counter.newest_us, clock.heard_ns = full_us, arrived_ns
+            counter.newest_us, clock.received_ns = full_us, arrived_ns
         return int(full_us * MICROSECOND_NS + clock.start_ns)
     counter.newest_us = max(counter.newest_us, full_us)
     elapsed_us = full_us - clock.start_us

@@ -18,7 +18,7 @@ CLOCK = np.dtype(
         ("counter", COUNTER32),
         # of either kind: gateway time that full counts are reckoned from
         ("start_ns", np.int64),  # shared: gateway time minus module time; estimated: arrival of the start
-        ("heard_ns", np.int64),  # shared: arrival of the newest stamp
+        ("received_ns", np.int64),  # shared: arrival of the newest stamp
         # estimated: see ``EstimatedClock``
         ("start_us", np.int64),
         ("expected_us", np.int64),  # full count that arrives at the start

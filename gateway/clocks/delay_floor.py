@@ -80,10 +80,12 @@ class DelayFloor:
 
     @property
     def is_known(self) -> bool:
+        """Whether a stamp has come since the beginning or the last reset."""
         return self._time_us is not None
 
     @property
     def rate_ppm(self) -> float:
+        """Estimated rate of the module's clock against gateway time, ppm."""
         return float(self._x[1])
 
     @property

@@ -86,7 +86,7 @@ class EstimatedClock(Row):
         self._round_trip = DelayFloor(TRANSPORT)  # exchanges only; by the clock of the way back
         self._steps = 0
         self._unrest_ppm = 0.0
-        self._believed_slot_us = self._batching.slot_us
+        self._previous_slot_us = self._batching.slot_us
         self._begin(0, 0)
 
     def _begin(self, stamp_us: int, arrived_ns: int) -> None:
@@ -107,6 +107,7 @@ class EstimatedClock(Row):
 
     @property
     def restarts(self) -> int:
+        """How often the module's counter began anew."""
         return self._counter.restarts
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
@@ -223,8 +224,8 @@ class EstimatedClock(Row):
 
     def _slot_is_news(self) -> bool:
         """Return whether the link turned out to hand over otherwise than was believed until now."""
-        before_us, self._believed_slot_us = self._believed_slot_us, self._batching.slot_us
-        return abs(self._believed_slot_us - before_us) > _SLOT_NEWS * max(self._believed_slot_us, before_us)
+        before_us, self._previous_slot_us = self._previous_slot_us, self._batching.slot_us
+        return abs(self._previous_slot_us - before_us) > _SLOT_NEWS * max(self._previous_slot_us, before_us)
 
     def _slot_us(self, elapsed_s: FloatArray) -> float:
         """Return the link's slot, unless the module samples in step with it: then it has no information.

@@ -73,7 +73,7 @@ class SharedClock(Row):
     _fields_ = fields_of(CLOCK)
     _kind: int
     _start_ns: int
-    _heard_ns: int
+    _received_ns: int
 
     def __init__(
         self,
@@ -88,16 +88,17 @@ class SharedClock(Row):
 
     @property
     def restarts(self) -> int:
+        """How often the modules' counter began anew."""
         return self._counter.restarts
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
         # from packet to packet: data may be played faster than they were taken, and nothing is estimated
         """Return the gateway time of a stamp, ns."""
         newest_us = self._counter.newest_us
-        expected_us = (newest_us or 0) + (arrived_ns - self._heard_ns) // MICROSECOND_NS
+        expected_us = (newest_us or 0) + (arrived_ns - self._received_ns) // MICROSECOND_NS
         full_us = self._counter.full_us(module_time_us, expected_us, arrived_ns)
         if full_us is None or self._counter.newest_us != newest_us:
-            self._heard_ns = arrived_ns
+            self._received_ns = arrived_ns
         if full_us is None:
             full_us = module_time_us
             self._start_ns = self._join(module_time_us * MICROSECOND_NS, arrived_ns)

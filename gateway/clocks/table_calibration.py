@@ -69,10 +69,12 @@ class ClockCalibration:
 
     @property
     def is_complete(self) -> bool:
+        """Whether it has lasted for ``duration_s``."""
         return self.elapsed_s >= self.duration_s
 
     @property
-    def heard(self) -> tuple[int, ...]:
+    def received(self) -> tuple[int, ...]:
+        """Modules that have sent something, in order of their ids."""
         return tuple(sorted(self._clocks))
 
     def table(self) -> ClockTable:

@@ -77,8 +77,8 @@ class TriggerAnswers:
         self._link_of: dict[int, str] = {}
         self._on_own_timer: set[int] = set()
 
-    def heard(self, module: int, link: str) -> None:
-        """Anything came from a module: over this link it is to be reached."""
+    def note_link(self, module: int, link: str) -> None:
+        """Note that a module is reached over this link: something came from it there."""
         self._link_of[module] = link
 
     def sent(self, number: int, link: str, sent_ns: int) -> None:

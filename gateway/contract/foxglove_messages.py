@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from devices.extras import how_to_add
 from gateway.body.joint_angles import JointAngles
 from gateway.body.skeleton import Skeleton
 from gateway.contract.ros_messages import BodyTransforms
-from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
+from gateway.support.extras import require_package
 
 TRANSFORMS, SCENE, ANGLES = "/tf", "/body", "/joint_angles"
 _BONE_RADIUS, _JOINT_RADIUS = 0.02, 0.03
@@ -27,10 +26,9 @@ _COLOUR = (0.35, 0.6, 0.85, 1.0)
 
 def foxglove_messages() -> Any:
     """Return the library's messages. Raises ``GatewayError`` without the extra ``foxglove``."""
-    try:
-        from foxglove import messages  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise GatewayError(f"Foxglove needs the extra 'foxglove': {how_to_add('foxglove')}") from None
+    require_package("foxglove")
+    from foxglove import messages  # noqa: PLC0415 - an extra
+
     return messages
 
 

@@ -45,6 +45,7 @@ class Topics:
 
     @property
     def root(self) -> str:
+        """What all topics of the gateway begin with."""
         return f"{self.base_topic}/{self.gateway}"
 
     @property

@@ -150,23 +150,23 @@ async def camera_topic(link: LinkSettings, mqtt: MqttSettings, seconds: float) -
             if (answer if isinstance(answer, int) else answer.value) >= _FIRST_FAILURE:
                 found = f"the broker at {where} answers and refuses to let us listen"
                 return [bad(subject, found, _right_to_read(mqtt, made.topic))]
-            heard = await _heard(client, seconds)
+            counts = await _count_messages(client, seconds)
     except Exception as error:
         found, _, remedy = explain(error, mqtt, mqtt.port).partition(": ")
         return [bad(subject, found, remedy or "see the finding about the broker")]
     answers = good(subject, f"{link.url} at {where}: the broker answers and lets us listen")
-    return [answers, *(_senders(link.name, made.topic, mqtt, heard, seconds) if seconds else ())]
+    return [answers, *(_senders(link.name, made.topic, mqtt, counts, seconds) if seconds else ())]
 
 
-async def _heard(client: aiomqtt.Client, seconds: float) -> Counter[tuple[str, bool]]:
+async def _count_messages(client: aiomqtt.Client, seconds: float) -> Counter[tuple[str, bool]]:
     """Return messages by topic and whether they are what they should be."""
-    heard: Counter[tuple[str, bool]] = Counter()
+    counts: Counter[tuple[str, bool]] = Counter()
 
     async def listen() -> None:
         async for message in client.messages:
             payload = message.payload
             is_right = isinstance(payload, bytes) and camera_of(payload) is not None
-            heard[message.topic.value, is_right] += not message.retain
+            counts[message.topic.value, is_right] += not message.retain
 
     listening = asyncio.create_task(listen())
     await asyncio.wait({listening}, timeout=seconds)
@@ -174,7 +174,7 @@ async def _heard(client: aiomqtt.Client, seconds: float) -> Counter[tuple[str, b
         listening.result()  # the connection was lost
     listening.cancel()
     await asyncio.gather(listening, return_exceptions=True)
-    return heard
+    return counts
 
 
 def _right_to_read(mqtt: MqttSettings, topic: str) -> str:
@@ -183,14 +183,14 @@ def _right_to_read(mqtt: MqttSettings, topic: str) -> str:
 
 
 def _senders(
-    name: str, topic: str, mqtt: MqttSettings, heard: Counter[tuple[str, bool]], seconds: float
+    name: str, topic: str, mqtt: MqttSettings, counts: Counter[tuple[str, bool]], seconds: float
 ) -> Iterator[Finding]:
     subject = f"{name}: data"
-    others = sorted(place for (place, is_right), count in heard.items() if count and not is_right)
+    others = sorted(place for (place, is_right), count in counts.items() if count and not is_right)
     if others:
         found = f"something else than heat maps comes on {', '.join(others)}"
         yield warning(f"{name}: topic", found, "write a topic that is the cameras' alone")
-    sending = {place: count for (place, is_right), count in heard.items() if count and is_right}
+    sending = {place: count for (place, is_right), count in counts.items() if count and is_right}
     if not sending:
         remedy = (
             f"start the cameras: mocap-gateway video serve-camera … --mqtt {mqtt.host}:{mqtt.port}; "

@@ -278,10 +278,12 @@ def _readability(links: Sequence[LinkSettings], operations: ModuleOperations) ->
 def _others_readability(links: Sequence[LinkSettings], makers: MakersModules) -> Iterator[Finding]:
     """Yield findings on the data of other makers' modules."""
     for link in links:
-        heard = makers.heard(link.name)
-        unread = {reason: count for reason, count in heard.dropped.items() if reason != ANOTHER_SENDER}
-        yield from _line(f"{link.name}: data", link.url, sum(unread.values()), heard.received, link.carries)
-        if strangers := heard.dropped.get(ANOTHER_SENDER):
+        received = makers.received(link.name)
+        unread = {reason: count for reason, count in received.dropped.items() if reason != ANOTHER_SENDER}
+        yield from _line(
+            f"{link.name}: data", link.url, sum(unread.values()), received.received, link.carries
+        )
+        if strangers := received.dropped.get(ANOTHER_SENDER):
             found = f"{strangers:,} datagrams came from a second device"
             yield bad(f"{link.name}: senders", found, "let every device send to a port and a link of its own")
 
@@ -289,20 +291,20 @@ def _others_readability(links: Sequence[LinkSettings], makers: MakersModules) ->
 def _usable(links: Sequence[LinkSettings], makers: MakersModules, method: str) -> Iterator[Finding]:
     """Yield whether what other makers' modules send is what the method takes."""
     for link in links:
-        heard, subject = makers.heard(link.name), f"{link.name}: method"
-        if heard.orientations and not heard.samples and method not in FUSED:
+        received, subject = makers.received(link.name), f"{link.name}: method"
+        if received.orientations and not received.samples and method not in FUSED:
             yield bad(
                 subject,
                 f"it sends orientations fused on board, and no raw samples: '{method}' makes nothing of them",
                 "write reconstructor: fused_neutral (or fused, where all references face alike)",
             )
-        elif heard.samples and not heard.orientations and method in FUSED:
+        elif received.samples and not received.orientations and method in FUSED:
             yield bad(
                 subject,
                 f"it sends raw samples, and no orientations: '{method}' makes nothing of them",
                 "write reconstructor: joint",
             )
-        elif heard.samples or heard.orientations:
+        elif received.samples or received.orientations:
             yield good(subject, f"'{method}' takes what it sends")
 
 
@@ -376,11 +378,11 @@ OTHERS = Numbering(
 
 
 def _presence(found: ModuleList, suit: WornSuit, numbering: Numbering) -> Iterator[Finding]:
-    heard = {module.module: module for module in found.modules}
-    if not heard:
+    reporting = {module.module: module for module in found.modules}
+    if not reporting:
         return
     segments = {module: segment for segment, module in found.segments.items()}
-    silent = [f"{module} ({segments[module]})" for module in suit.module_ids if module not in heard]
+    silent = [f"{module} ({segments[module]})" for module in suit.module_ids if module not in reporting]
     if silent:
         remedy = f"switch them on, check battery and plug; {numbering.silent}"
         yield bad("modules: heard", f"never heard: {', '.join(silent)}", remedy)

@@ -52,6 +52,7 @@ class Case:
 
     @property
     def ends_s(self) -> float:
+        """When the fault ends, s."""
         return self.begins_s + self.lasts_s
 
     @property
@@ -202,8 +203,10 @@ def outcome(run: Run, calm: Run, segments: list[int]) -> Outcome:
 
 def reported_after_s(run: Run, segments: list[int]) -> float:
     """Return the time from the fault until no segment counts as measured any more, s; NaN: never."""
-    told = (run.status[:, segments] > Status.INTERPOLATED).all(axis=1) & (run.times_s >= run.case.begins_s)
-    return float(run.times_s[told][0] - run.case.begins_s) if told.any() else np.nan
+    is_reported = (run.status[:, segments] > Status.INTERPOLATED).all(axis=1) & (
+        run.times_s >= run.case.begins_s
+    )
+    return float(run.times_s[is_reported][0] - run.case.begins_s) if is_reported.any() else np.nan
 
 
 WALK_S = 2.75
@@ -212,8 +215,8 @@ WALK_S = 2.75
 
 def doubtful_after_s(run: Run, segments: list[int]) -> float:
     """Return the time from when the walk sets off until all the segments are doubtful, s; NaN: never."""
-    told = (run.status[:, segments] == Status.DOUBTFUL).all(axis=1)
-    return float(run.times_s[told][0] - WALK_S) if told.any() else np.nan
+    is_doubtful = (run.status[:, segments] == Status.DOUBTFUL).all(axis=1)
+    return float(run.times_s[is_doubtful][0] - WALK_S) if is_doubtful.any() else np.nan
 
 
 def is_finite(run: Run) -> bool:

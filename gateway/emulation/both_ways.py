@@ -25,7 +25,7 @@ class BothWays:
         """Make two streams; ``make`` returns one with kernels for True, without for False."""
         self.compiled, self.readable = make(True), make(False)
         self._streams = self.compiled, self.readable
-        self._heard: list[list[tuple[ReceivedPacket, int]]] = [[], []]
+        self._packets: list[list[tuple[ReceivedPacket, int]]] = [[], []]
 
     def add_link(self, name: str, content: str) -> None:
         """Announce a link, before its first chunk."""
@@ -34,8 +34,8 @@ class BothWays:
 
     def listen(self, packet_class: type[Packet]) -> None:
         """Call a listener with packets of a class; its calls are compared too."""
-        for stream, heard in zip(self._streams, self._heard, strict=True):
-            stream.listen(packet_class, _noting(heard))
+        for stream, packets in zip(self._streams, self._packets, strict=True):
+            stream.listen(packet_class, _noting(packets))
 
     def sent(self, chunk: SentChunk) -> None:
         """Pass what left to both."""
@@ -47,10 +47,10 @@ class BothWays:
         found, expected = (stream.receive(chunk) for stream in self._streams)
         if _plain(found) != _plain(expected):
             raise Difference(f"readings of {chunk}: {found}, the readable way {expected}")
-        if self._heard[0] != self._heard[1]:
-            raise Difference(f"listeners at {chunk}: {self._heard}")
-        for heard in self._heard:
-            heard.clear()
+        if self._packets[0] != self._packets[1]:
+            raise Difference(f"listeners at {chunk}: {self._packets}")
+        for packets in self._packets:
+            packets.clear()
         return found
 
     def compare_accounts(self) -> None:
@@ -61,8 +61,8 @@ class BothWays:
                 raise Difference(f"{name}: {found[name]}, the readable way {account}")
 
 
-def _noting(heard: list[tuple[ReceivedPacket, int]]) -> Listener:
-    return lambda packet, chunk: heard.append((packet, chunk.arrived_ns))
+def _noting(packets: list[tuple[ReceivedPacket, int]]) -> Listener:
+    return lambda packet, chunk: packets.append((packet, chunk.arrived_ns))
 
 
 def accounts(stream: Stream) -> dict[str, Any]:

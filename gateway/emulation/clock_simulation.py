@@ -137,9 +137,9 @@ def _sent(rng: np.random.Generator, crystal: Crystal, seconds: float, rate_hz: f
     true_us = crystal.true_us(elapsed_us)
     asked_us = np.cumsum(rng.uniform(*ASKED_EVERY_US, int(seconds / 0.2)))
     asked_us = asked_us[asked_us < true_us[-1]]
-    heard_us = asked_us + LATENCY_US + rng.exponential(JITTER_US, len(asked_us))
-    all_true_us = np.concatenate([true_us, heard_us])
-    stamps_us = np.concatenate([elapsed_us, np.interp(heard_us, true_us, elapsed_us)])
+    received_us = asked_us + LATENCY_US + rng.exponential(JITTER_US, len(asked_us))
+    all_true_us = np.concatenate([true_us, received_us])
+    stamps_us = np.concatenate([elapsed_us, np.interp(received_us, true_us, elapsed_us)])
     return _Sent(
         all_true_us,
         stamps_us + crystal.start_us,

@@ -160,10 +160,10 @@ def _with_positions(
     """Return the frames with a position device's readings."""
     state, sigma_m = motion.state(times), switches.device_sigma_m
     place = device.position + switches.device_m * rng.standard_normal(3)
-    told = state.joint_position[:, device.segment] + state.R_wb[:, device.segment] @ place
-    told += sigma_m * rng.standard_normal(told.shape)
+    measured = state.joint_position[:, device.segment] + state.R_wb[:, device.segment] @ place
+    measured += sigma_m * rng.standard_normal(measured.shape)
     sigma, next_s, result = np.full(3, sigma_m), 0.0, []
-    for frame, time_s, at in zip(frames, times, told, strict=True):
+    for frame, time_s, at in zip(frames, times, measured, strict=True):
         local: tuple[LocalReading, ...] = ()
         if time_s >= next_s:
             next_s += switches.device_every_s

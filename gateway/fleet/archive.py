@@ -172,8 +172,8 @@ class Archive:
         """Write a file of rows: it is there whole, or not at all. The same rows give the same bytes."""
         import pyarrow as pa  # noqa: PLC0415 - an extra
 
-        told = json.dumps({**provenance, "software": gateway.__version__}, sort_keys=True)
-        table = pa.table(dict(columns)).replace_schema_metadata({PROVENANCE: told.encode()})
+        metadata = json.dumps({**provenance, "software": gateway.__version__}, sort_keys=True)
+        table = pa.table(dict(columns)).replace_schema_metadata({PROVENANCE: metadata.encode()})
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as partial:
             parquet().write_table(table, partial, compression="zstd")
@@ -208,13 +208,13 @@ class Archive:
         for path in sorted(self.poses.rglob("*.parquet")):
             if path.name.startswith("."):
                 continue
-            told = pq.read_metadata(path)
-            provenance = json.loads((told.metadata or {}).get(PROVENANCE, b"{}"))
+            metadata = pq.read_metadata(path)
+            provenance = json.loads((metadata.metadata or {}).get(PROVENANCE, b"{}"))
             folders = path.relative_to(self.poses).parts[:-1]
             yield {
                 "file": str(path.relative_to(self.folder)),
                 **dict(folder.split("=", 1) for folder in folders),
-                "rows": told.num_rows,
+                "rows": metadata.num_rows,
                 "bytes": path.stat().st_size,
                 "recording": str(provenance.get("recording", "")),
                 "solved": str(provenance.get("solved", "")),
@@ -288,8 +288,8 @@ class Archive:
         """Return the numbers of the poses of a running gateway that are kept already."""
         pq, found = parquet(), set[int]()
         for path in self.poses.rglob("stream_*.parquet"):
-            told = json.loads((pq.read_metadata(path).metadata or {}).get(PROVENANCE, b"{}"))
-            if told.get("gateway") == gateway_name and instance in told.get("instances", []):
+            provenance = json.loads((pq.read_metadata(path).metadata or {}).get(PROVENANCE, b"{}"))
+            if provenance.get("gateway") == gateway_name and instance in provenance.get("instances", []):
                 table = pq.read_table(path, columns=["instance", "seq"], partitioning=None)
                 pairs = zip(table["instance"].to_pylist(), table["seq"].to_pylist(), strict=True)
                 found.update(seq for one, seq in pairs if one == instance)

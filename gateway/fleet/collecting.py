@@ -72,27 +72,27 @@ class Collector:
         except (ValidationError, ValueError, TypeError, KeyError, AttributeError):
             self.undecodable += 1
 
-    def _take_pose(self, gateway: str, told: dict[str, Any], *, is_late: bool) -> None:
+    def _take_pose(self, gateway: str, pose: dict[str, Any], *, is_late: bool) -> None:
         info = self._infos.get(gateway)
         if info is None:
-            return  # it is told at once after the subscription; without it the day is not known
-        instance = str(told["instance"] if is_late else info.instance)
+            return  # it is pose at once after the subscription; without it the day is not known
+        instance = str(pose["instance"] if is_late else info.instance)
         seen = self._seen.get((gateway, instance))
         if seen is None:
             seen = self._seen[gateway, instance] = self.archive.seen(gateway, instance)
-        seq = int(told["seq"])
+        seq = int(pose["seq"])
         if seq in seen:
             self.repeated += 1
             return
-        utc_ns = int(told["t_ns"]) + (0 if info.utc is None else info.utc.offset_ns)
-        names = tuple(told["segments"])
+        utc_ns = int(pose["t_ns"]) + (0 if info.utc is None else info.utc.offset_ns)
+        names = tuple(pose["segments"])
         rows = self._waiting.setdefault((gateway, day_of(utc_ns), names), _Rows())
-        rows.q_wb.append([each or _UNKNOWN for each in told["segments"].values()])
+        rows.q_wb.append([each or _UNKNOWN for each in pose["segments"].values()])
         rows.utc_ns.append(utc_ns)
         rows.seq.append(seq)
         rows.late.append(is_late)
         rows.instance.append(instance)
-        rows.angles.append(_angles(told))
+        rows.angles.append(_angles(pose))
         seen.add(seq)
         self.rows += 1
         if len(rows.seq) >= MOST_ROWS:
@@ -125,9 +125,9 @@ class Collector:
 _UNKNOWN = [np.nan] * 4
 
 
-def _angles(told: dict[str, Any]) -> dict[str, float]:
+def _angles(pose: dict[str, Any]) -> dict[str, float]:
     """Return the joint angles that a pose carries, by the names of columns."""
-    joints = told.get("joint_angles") or {}
+    joints = pose.get("joint_angles") or {}
     return {
         f"{joint}_{name}_deg": value
         for joint, angles in joints.items()

@@ -50,7 +50,9 @@ async def _asking(settings: MqttSettings, gateway: str) -> AsyncIterator[RemoteO
         yield remote
 
 
-async def _ask(remote: RemoteOperations, gateway: str, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+async def _request(
+    remote: RemoteOperations, gateway: str, verb: str, data: Mapping[str, Any]
+) -> dict[str, Any]:
     try:
         async with asyncio.timeout(_ANSWER_S):
             return dict(await remote.perform(verb, data))
@@ -66,8 +68,8 @@ async def differences(
 ) -> list[dict[str, Any]]:
     """Return what settings would change at one gateway: setting, before, after. Raises ``GatewayError``."""
     async with _asking(settings, gateway) as remote:
-        told = await _ask(remote, gateway, "configure", {"settings": wanted, "dry_run": True})
-    return list(told["differences"])
+        answer = await _request(remote, gateway, "configure", {"settings": wanted, "dry_run": True})
+    return list(answer["differences"])
 
 
 async def push(settings: MqttSettings, gateway: str, wanted: Mapping[str, Any], within_s: float) -> bool:
@@ -77,18 +79,18 @@ async def push(settings: MqttSettings, gateway: str, wanted: Mapping[str, Any], 
     where it refuses them, or does not come back.
     """
     async with _asking(settings, gateway) as remote:
-        before = await _ask(remote, gateway, "health", {})
+        before = await _request(remote, gateway, "health", {})
         request = {"settings": wanted, "dry_run": False, "confirm_within_s": within_s}
         begun_s = time.monotonic()
-        told = await _ask(remote, gateway, "configure", request)
-    if not told["applied"]:
+        answer = await _request(remote, gateway, "configure", request)
+    if not answer["applied"]:
         return False
     while time.monotonic() - begun_s < within_s:
         with contextlib.suppress(GatewayError):
             async with _asking(settings, gateway) as remote:
-                now = await _ask(remote, gateway, "health", {})
+                now = await _request(remote, gateway, "health", {})
                 if _is_back(before, now):
-                    await _ask(remote, gateway, "confirm", {"token": told["token"]})
+                    await _request(remote, gateway, "confirm", {"token": answer["token"]})
                     return True
         await asyncio.sleep(_ASK_AGAIN_S)
     raise GatewayError(

@@ -168,8 +168,8 @@ class Fleet:
             case topics.BODY:
                 seen.body = BodyMessage.model_validate_json(payload)
             case _ if module := _MODULE.fullmatch(below):
-                told = orjson.loads(payload)
-                firmware = told.get("firmware") if isinstance(told, dict) else None
+                content = orjson.loads(payload)
+                firmware = content.get("firmware") if isinstance(content, dict) else None
                 if isinstance(firmware, str):
                     seen.firmware[int(module[1])] = firmware[:40]
 

@@ -45,10 +45,10 @@ tr.alert{background:#fff1e5}.offline{color:#b00020}.online{color:#0a6b2d}
 const cell=(tr,text,kind)=>{const td=tr.insertCell();td.textContent=text??"–"
  if(kind)td.className=kind;return td}
 async function renew(){try{
- const told=await(await fetch("fleet.json",{cache:"no-store"})).json()
+ const report=await(await fetch("fleet.json",{cache:"no-store"})).json()
  const rows=document.getElementById("rows")
  const made=document.createElement("tbody");made.id="rows"
- for(const g of told){const tr=made.insertRow();if(g.alerts.length)tr.className="alert"
+ for(const g of report){const tr=made.insertRow();if(g.alerts.length)tr.className="alert"
   const a=document.createElement("a");a.textContent=g.gateway;a.target="_blank";a.rel="noopener"
   a.href="body?gateway="+encodeURIComponent(g.gateway);cell(tr,"").replaceChildren(a)
   cell(tr,g.wearer);cell(tr,g.state,g.state);cell(tr,g.rate_hz.toFixed(1),"n")
@@ -56,8 +56,8 @@ async function renew(){try{
   cell(tr,g.delay_ms?.toFixed(0),"n");cell(tr,g.lost,"n");cell(tr,g.late,"n");cell(tr,g.free_gb?.toFixed(0),"n")
   cell(tr,g.version);cell(tr,g.firmware.join(", ")||null);cell(tr,g.alerts.join("; ")||"")}
  rows.replaceWith(made)
- const bad=told.filter(g=>g.alerts.length).length,up=told.filter(g=>g.state=="online").length
- document.getElementById("sum").textContent=`${told.length} gateways, ${up} online, ${bad} with alerts`
+ const bad=report.filter(g=>g.alerts.length).length,up=report.filter(g=>g.state=="online").length
+ document.getElementById("sum").textContent=`${report.length} gateways, ${up} online, ${bad} with alerts`
 }catch(e){document.getElementById("sum").textContent="the overview does not answer"}setTimeout(renew,1000)}
 renew()</script></body></html>
 """

@@ -84,8 +84,8 @@ def perform(job: Solving) -> Solved:
 def _is_made(target: Path, provenance: dict[str, str]) -> bool:
     if not target.exists():
         return False
-    told = json.loads((parquet().read_metadata(target).metadata or {}).get(PROVENANCE, b"{}"))
-    return bool(told == {**provenance, "software": gateway.__version__})
+    stored = json.loads((parquet().read_metadata(target).metadata or {}).get(PROVENANCE, b"{}"))
+    return bool(stored == {**provenance, "software": gateway.__version__})
 
 
 def run(

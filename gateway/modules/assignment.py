@@ -22,6 +22,7 @@ class Proposal:
 
     @property
     def is_right_already(self) -> bool:
+        """Whether nothing would change."""
         return self.before == self.after
 
     @property

@@ -22,7 +22,7 @@ async def discovered(seconds: float, host: str = EVERYWHERE) -> list[Announced]:
     """
     found: dict[tuple[str, str], Announced] = {}
     tasks = [
-        asyncio.create_task(_hear(UdpLink(host, kind.discovery.port), kind.discovery, found))
+        asyncio.create_task(_listen(UdpLink(host, kind.discovery.port), kind.discovery, found))
         for kind in SOURCES.values()
         if kind.discovery is not None
     ]
@@ -60,8 +60,8 @@ def link_line(announced: Announced, *others: Announced, module: int | str = "NUM
     module: number in the rig.
     """
     if announced.entry is not None:
-        told = [each.entry[1] for each in (announced, *others) if each.entry is not None]
-        listed = ", ".join(f'"{name}": {module}' for name in told)
+        found_modules = [each.entry[1] for each in (announced, *others) if each.entry is not None]
+        listed = ", ".join(f'"{name}": {module}' for name in found_modules)
         head = f'name: {announced.name}, url: "{announced.url}", carries: {announced.carries}'
         return f"- {{{head}, {announced.entry[0]}: {{{listed}}}}}"
     # A device's name is what somebody typed: nothing of it may end the quotes around it.
@@ -72,7 +72,7 @@ def link_line(announced: Announced, *others: Announced, module: int | str = "NUM
     )
 
 
-async def _hear(link: UdpLink, discovery: Discovery, found: dict[tuple[str, str], Announced]) -> None:
+async def _listen(link: UdpLink, discovery: Discovery, found: dict[tuple[str, str], Announced]) -> None:
     await link.open()
     try:
         async for chunk in link:

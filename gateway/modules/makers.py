@@ -52,7 +52,7 @@ class MakersModule(NamedTuple):
         return wanted == str(self.module) or (len(wanted) > 3 and self.unique_id.startswith(wanted))
 
 
-class Heard(NamedTuple):
+class ReceivedCounts(NamedTuple):
     """What came over a link."""
 
     received: int
@@ -80,13 +80,13 @@ class MakersLine:
         """What is known of the device, and of those that share its link."""
         return self._source.devices[self._link.name]
 
-    async def tell(self, data: bytes) -> None:
+    async def send(self, data: bytes) -> None:
         """Write to the device. Raises ``LinkError``."""
         device = self.device
         to = device.command_address(self.module)
         self._on_sent(await _written(self._link, device.framed(data), to))
 
-    async def ask(self, data: bytes, meant: Callable[[Any], _Found | None], what: str) -> _Found:
+    async def request(self, data: bytes, meant: Callable[[Any], _Found | None], what: str) -> _Found:
         """Write until a message comes for which ``meant`` returns something, and return that.
 
         Raises ``LinkError``, and ``NoAnswerError`` where none comes.
@@ -103,7 +103,7 @@ class MakersLine:
         self._source.listen(self._link.name, self.module, take)
         try:
             for repeated in range(_ATTEMPTS):
-                await self.tell(data)
+                await self.send(data)
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(_ANSWER_S):
                         found = await answers.get()
@@ -212,12 +212,12 @@ class MakersModules:
         """Return the numbers of the devices on a link."""
         return self._sources[link].devices[link].modules
 
-    def heard(self, link: str) -> Heard:
+    def received(self, link: str) -> ReceivedCounts:
         """Return what came over a link."""
         source, device = self._sources[link], self._sources[link].devices[link]
         records = (source.modules.records.get(module) for module in device.modules)
         received = sum(record.received for record in records if record is not None)
-        return Heard(received, device.dropped, device.made[InertialBatch], device.made[FusedReading])
+        return ReceivedCounts(received, device.dropped, device.made[InertialBatch], device.made[FusedReading])
 
     async def advice(self, rate_hz: float) -> list[tuple[str, Advice]]:
         """Return what would be better otherwise in the devices' settings, with the link of each; of those
@@ -229,8 +229,8 @@ class MakersModules:
         ]
         for module in await self.discover():
             settings = await module.commands.read(module.line)
-            told = module.commands.advice(module.module, settings, rate_hz)
-            found += [(module.link, each) for each in told]
+            advice = module.commands.advice(module.module, settings, rate_hz)
+            found += [(module.link, each) for each in advice]
         return found
 
     async def _describe(self, which: tuple[str, int]) -> MakersModule | None:

@@ -71,7 +71,7 @@ class ModuleLog:
         return left_out if self._lines[module] <= MOST_LINES else None
 
 
-class Strangers:
+class UnknownModules:
     """Who of those heard is in the rig, and who is not."""
 
     def __init__(self, stream: Stream, suit: WornSuit, unworn: Iterable[int] = ()) -> None:
@@ -88,13 +88,13 @@ class Strangers:
 
     def news(self) -> str | None:
         """Return who is heard and not in the rig, and what to do; None when that was reported already."""
-        heard = self._stream.modules
-        strangers = {module for module in heard if module not in self.names} - self._unworn
-        if strangers <= self._reported:
+        reporting = self._stream.modules
+        unknown = {module for module in reporting if module not in self.names} - self._unworn
+        if unknown <= self._reported:
             return None
-        self._reported |= strangers
-        listed = ", ".join(_named(module, heard[module]) for module in sorted(strangers))
-        silent = [f"{module} ({name})" for module, name in self.names.items() if module not in heard]
+        self._reported |= unknown
+        listed = ", ".join(_named(module, reporting[module]) for module in sorted(unknown))
+        silent = [f"{module} ({name})" for module, name in self.names.items() if module not in reporting]
         missing = f"; of the rig, not heard: {', '.join(silent)}" if silent else ""
         return (
             f"heard, but not in the rig: module {listed}{missing}. Nothing is made of what they send: "

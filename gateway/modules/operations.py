@@ -131,7 +131,7 @@ class ModuleOperations:
         (roster, makers), before = await asyncio.gather(
             self._in_turn(self._discover_all), self._counted_from(before, request.listen_s)
         )
-        await self._hear_descriptions({device.module for device in roster.devices} | makers.keys())
+        await self._await_descriptions({device.module for device in roster.devices} | makers.keys())
         after = count_samples(self._stream, gateway_time_ns())
         listed = summarise(roster, self._stream, self._suit, before, after, makers)
         return {
@@ -152,7 +152,7 @@ class ModuleOperations:
         await asyncio.sleep(0.5 * listen_s)
         return before if before.samples.keys() >= half_way.samples.keys() else half_way
 
-    async def _hear_descriptions(self, known: Collection[int]) -> None:
+    async def _await_descriptions(self, known: Collection[int]) -> None:
         """Wait, as long as one may take, for what those that answer no commands say of themselves."""
         modules = self._stream.modules
         while gateway_time_ns() < self._began_ns + _DESCRIBED_NS:
@@ -241,10 +241,10 @@ class ModuleOperations:
         self._refuse_unless_allowed("restoring settings")
         wanted = {bytes.fromhex(text): settings for text, settings in request.modules.items()}
         present = await self.configurator.present_ids(wanted)
-        heard = {uid: settings for uid, settings in wanted.items() if uid in present}
-        backup = {uid.hex(): settings for uid, settings in heard.items()}
+        present_settings = {uid: settings for uid, settings in wanted.items() if uid in present}
+        backup = {uid.hex(): settings for uid, settings in present_settings.items()}
         restored = await self._recorded(
-            heard, lambda: restore_backup(self.configurator, backup, self._rig_ids)
+            present_settings, lambda: restore_backup(self.configurator, backup, self._rig_ids)
         )
         restored.absent += [uid for uid in wanted if uid not in present]
         return _restored(restored)
@@ -256,12 +256,12 @@ class ModuleOperations:
 
     async def _card_start(self, request: requests.CardStartRequest) -> Plain:
         device = await self._find(request.device)
-        await self._client.ask(device.unique_id, Verb.START)
+        await self._client.request(device.unique_id, Verb.START)
         return _named(device)
 
     async def _card_stop(self, request: requests.CardStopRequest) -> Plain:
         device = await self._find(request.device)
-        await self._client.ask(device.unique_id, Verb.STOP)
+        await self._client.request(device.unique_id, Verb.STOP)
         return _named(device)
 
     async def _card_read(self, request: requests.CardReadRequest) -> Plain:
@@ -352,8 +352,8 @@ class ModuleOperations:
     async def _discover_all(self) -> tuple[Roster, dict[int, MakersModule]]:
         """Return who answers: our own, and those of others by module id."""
         others = {module.module: module for module in await self.makers.discover()}
-        is_heard = len(_absent(self._client.links)) < len(self._client.links) or not self.makers.has_links
-        return await self._discover() if is_heard else Roster(()), others
+        has_answer = len(_absent(self._client.links)) < len(self._client.links) or not self.makers.has_links
+        return await self._discover() if has_answer else Roster(()), others
 
     @property
     def _has_own(self) -> bool:

@@ -85,7 +85,7 @@ async def suit_session(
 
         readers.append(asyncio.create_task(makers.talk(), name="talk"))
         stack.push_async_callback(_end, readers)
-        await sources.heard(there)
+        await sources.wait_for_modules(there)
         yield ModuleOperations(sources.stream, client, suit, journal, makers)
 
 
@@ -103,7 +103,7 @@ class _Sources:
         """Take note of what was said to modules of others."""
         self._routes[sent.link].sent(sent)
 
-    async def heard(self, links: Sequence[LinkSettings]) -> None:
+    async def wait_for_modules(self, links: Sequence[LinkSettings]) -> None:
         """Wait for devices that send unasked, or that must be greeted first."""
         awaited = {
             module
@@ -151,7 +151,7 @@ async def _open(link: ReconnectingLink) -> None:
     end_ns = gateway_time_ns() + round(_FREED_S * 1e9)
     while True:
         try:
-            with _unsaid(logging.getLogger(ReconnectingLink.__module__)):
+            with _unlogged(logging.getLogger(ReconnectingLink.__module__)):
                 return await link.open()
         except LinkBusyError as error:
             if gateway_time_ns() > end_ns:
@@ -160,7 +160,7 @@ async def _open(link: ReconnectingLink) -> None:
 
 
 @contextlib.contextmanager
-def _unsaid(logger: logging.Logger) -> Iterator[None]:
+def _unlogged(logger: logging.Logger) -> Iterator[None]:
     """Silence the warnings of a logger meanwhile: what it would warn of is raised by the caller."""
     level = logger.level
     logger.setLevel(logging.ERROR)

@@ -172,8 +172,8 @@ def _answering(summary: ModuleSummary, other: MakersModule | None) -> ModuleSumm
     """Return the summary of a module that is heard, with what one of another maker has answered."""
     if other is None:
         return summary
-    told = {"answers": True, "unique_id": other.unique_id, "link": other.link}
-    return summary.model_copy(update={**told, "firmware": other.description.firmware})
+    reported = {"answers": True, "unique_id": other.unique_id, "link": other.link}
+    return summary.model_copy(update={**reported, "firmware": other.description.firmware})
 
 
 def _conflict(conflict: Conflict) -> ConflictSummary:
@@ -220,18 +220,18 @@ class _Watched:
     segment: str | None
     is_online: bool = False
     packets: int = 0
-    heard_ns: int | None = None
+    received_ns: int | None = None
     """When packets were last found to have come."""
     samples: deque[tuple[int, int]] = field(default_factory=deque)
     """(when, samples until then) of recent looks."""
-    said_ns: int | None = None
-    said: ModuleState | None = None
+    published_ns: int | None = None
+    published: ModuleState | None = None
 
     def look(self, record: ModuleRecord, now_ns: int) -> None:
         """Take note of what has come since the last look."""
         packets = record.received + record.duplicates
         if packets != self.packets:
-            self.packets, self.heard_ns = packets, now_ns
+            self.packets, self.received_ns = packets, now_ns
         self.samples.append((now_ns, count_module_samples(record)))
         while now_ns - self.samples[0][0] > _RATE_WINDOW_NS:
             self.samples.popleft()
@@ -291,7 +291,7 @@ class ModuleStates:
         """Yield what is to be said when the gateway stops: every module is offline."""
         for watched in self._watched.values():
             watched.is_online = False
-            yield from self._say(watched, self.state(watched.module, now_ns), is_change=True)
+            yield from self._publish(watched, self.state(watched.module, now_ns), is_change=True)
 
     def states(self, now_ns: int) -> list[ModuleState]:
         """Return the figures of all modules as of the last look, by id."""
@@ -302,7 +302,7 @@ class ModuleStates:
         heard."""
         watched, record = self._watched[module], self._stream.modules.get(module)
         last_ns = None if record is None else record.last_arrival_ns
-        told = _reported(record)
+        reported = _reported(record)
         return ModuleState(
             t_ns=now_ns,
             module=module,
@@ -314,28 +314,30 @@ class ModuleStates:
             rate_hz=watched.rate_hz,
             late=self._late.get(module, 0),
             clock=None if record is None else clock_state(record),
-            **told,
+            **reported,
         )
 
     def _news(self, watched: _Watched, now_ns: int) -> Iterator[tuple[str, Message]]:
-        heard_ns = watched.heard_ns
-        is_online = heard_ns is not None and now_ns - heard_ns <= self._silent_after_ns
-        is_first = watched.said is None
+        received_ns = watched.received_ns
+        is_online = received_ns is not None and now_ns - received_ns <= self._silent_after_ns
+        is_first = watched.published is None
         if is_first and not is_online and now_ns - (self._started_ns or 0) <= self._silent_after_ns:
             return  # it may just be slow to begin
         is_change = is_first or is_online != watched.is_online
         watched.is_online = is_online
-        is_due = watched.said_ns is None or now_ns - watched.said_ns >= self._interval_ns
-        doubt = None if watched.said is None else watched.said.doubt
+        is_due = watched.published_ns is None or now_ns - watched.published_ns >= self._interval_ns
+        doubt = None if watched.published is None else watched.published.doubt
         is_new_doubt = (doubt is None) != (watched.module not in self._doubted)
         if not (is_change or is_due or is_new_doubt):
             return
         state = self.state(watched.module, now_ns)
-        if is_change or watched.said is None or _differs(state, watched.said):
-            yield from self._say(watched, state, is_change)
+        if is_change or watched.published is None or _differs(state, watched.published):
+            yield from self._publish(watched, state, is_change)
 
-    def _say(self, watched: _Watched, state: ModuleState, is_change: bool) -> Iterator[tuple[str, Message]]:
-        watched.said_ns, watched.said = state.t_ns, state
+    def _publish(
+        self, watched: _Watched, state: ModuleState, is_change: bool
+    ) -> Iterator[tuple[str, Message]]:
+        watched.published_ns, watched.published = state.t_ns, state
         if is_change:
             topic = MODULE_AVAILABILITY.format(id=watched.module)
             yield topic, ModuleAvailability(state=state.availability)

@@ -78,9 +78,9 @@ class BrokerProcess:
             command += ["--websocket-port", str(self.websocket_port)]
         for origin in self._websocket_origins:
             command += ["--websocket-origin", origin]
-        told = {name: value for name, value in os.environ.items() if name != WEBSOCKET_TOKEN_VARIABLE}
+        environment = {name: value for name, value in os.environ.items() if name != WEBSOCKET_TOKEN_VARIABLE}
         if self._token is not None:
-            told[WEBSOCKET_TOKEN_VARIABLE] = self._token.reveal()
+            environment[WEBSOCKET_TOKEN_VARIABLE] = self._token.reveal()
         # A session of its own keeps Ctrl-C in a terminal from ending the broker before the gateway
         # has said goodbye. The pipe to its standard input is its lifeline: it ends when that closes,
         # however the gateway died.
@@ -89,7 +89,7 @@ class BrokerProcess:
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             start_new_session=True,
-            env=told,
+            env=environment,
         )
         self._process = process
         try:

@@ -174,7 +174,7 @@ async def broker_connection(
     client = _client(settings, port, identifier, will, partial(Inbox, on_full=on_full), most_messages)
     client.timeout = timeout_s
     if on_answer is not None:
-        _tell_answers(client, on_answer)
+        _report_acknowledgements(client, on_answer)
     try:
         # Not "async with": its exit waits for a broker that may be frozen, after any exception.
         await client.__aenter__()
@@ -211,7 +211,7 @@ def explain(error: BaseException, settings: MqttSettings, port: int) -> str:
 def _explain_refusal(code: int | ReasonCode | None, settings: MqttSettings, where: str) -> str:
     number = code.value if isinstance(code, ReasonCode) else code
     if number == _UNSUPPORTED_PROTOCOL:
-        return f'the broker at {where} does not speak MQTT {settings.spoken_protocol}: set protocol: "3.1.1"'
+        return f'the broker at {where} does not speak MQTT {settings.protocol_in_use}: set protocol: "3.1.1"'
     if number not in (_BAD_CREDENTIALS, _NOT_AUTHORISED):
         return f"the broker at {where} refuses the connection ({code})"
     if settings.username is None:
@@ -257,7 +257,7 @@ def _client(
         password=settings.read_password() if settings.username is not None else None,
         logger=_CLIENT_LOGGER,
         identifier=identifier,
-        protocol=_PROTOCOLS[settings.spoken_protocol],
+        protocol=_PROTOCOLS[settings.protocol_in_use],
         will=will,
         timeout=TIMEOUT_S,
         keepalive=settings.keepalive,
@@ -275,10 +275,10 @@ def _client(
     return client
 
 
-def _tell_answers(client: aiomqtt.Client, on_answer: Callable[[str, ReasonCode], None]) -> None:
+def _report_acknowledgements(client: aiomqtt.Client, on_answer: Callable[[str, ReasonCode], None]) -> None:
     """Have the answers to publications told by topic; aiomqtt waits for them and does not read them."""
     paho, topics = client._client, dict[int, str]()
-    publish, heard = paho.publish, cast(Callable[..., None] | None, paho.on_publish)
+    publish, on_publish = paho.publish, cast(Callable[..., None] | None, paho.on_publish)
 
     def noted(topic: str, payload: Any = None, qos: int = 0, *arguments: Any, **options: Any) -> Any:
         info = publish(topic, payload, qos, *arguments, **options)
@@ -290,8 +290,8 @@ def _tell_answers(client: aiomqtt.Client, on_answer: Callable[[str, ReasonCode],
         topic = topics.pop(mid, None)
         if topic is not None:
             on_answer(topic, code)
-        if heard is not None:
-            heard(one, data, mid, code, *more)
+        if on_publish is not None:
+            on_publish(one, data, mid, code, *more)
 
     paho.publish = noted  # type: ignore[method-assign]
     paho.on_publish = published
@@ -382,7 +382,7 @@ def _read_all(client: aiomqtt.Client) -> None:
 
 def _wishes(settings: MqttSettings) -> Properties | None:
     """What a broker that speaks MQTT 5 is told on connecting: the largest packet that we take."""
-    if settings.spoken_protocol != "5":
+    if settings.protocol_in_use != "5":
         return None
     properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
     properties.MaximumPacketSize = LARGEST_MESSAGE

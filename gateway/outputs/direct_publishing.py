@@ -49,7 +49,7 @@ class DirectPublisher:
             try:
                 sent = self._paho._sock_send(data)
             except BlockingIOError:
-                pass  # the socket takes nothing now: all of it waits below
+                sent = 0  # the socket takes nothing now: all of it waits below
             except OSError as error:
                 raise aiomqtt.MqttError(f"the connection was lost: {error}") from error
         if sent == len(data):

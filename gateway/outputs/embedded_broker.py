@@ -82,6 +82,7 @@ class _Broker(Broker):  # type: ignore[misc]  # it has no types
         self._origins = origins
 
     async def ws_connected(self, websocket: Any, listener_name: str) -> None:
+        """Take a connection from a page that may have one; close any other."""
         headers = websocket.request.headers
         if admits(headers.get_all("Host"), headers.get_all("Origin"), self._origins):
             await super().ws_connected(websocket, listener_name)
@@ -105,6 +106,7 @@ class _Broker(Broker):  # type: ignore[misc]  # it has no types
             await super()._broadcast_message(session, *message, **options)
 
     async def retain_message(self, source_session: Session | None, *message: Any, **options: Any) -> None:
+        """Keep a retained message, unless its sender may only listen."""
         if source_session is None or source_session.may_publish:
             await super().retain_message(source_session, *message, **options)
 

@@ -89,10 +89,10 @@ async def keep_asking(
     """
     answered = asyncio.Event()
     paho: Any = client._client  # aiomqtt has no way to ask for an answer
-    heard = paho._handle_pingresp
+    handle = paho._handle_pingresp
 
     def note() -> Any:
-        result = heard()
+        result = handle()
         answered.set()
         return result
 
@@ -160,7 +160,7 @@ class ClusterConnection:
         self._is_watched = settings.is_watched
         self._role = role
         self._echo_topic = echo
-        self._is_echo_heard = False  # there may be no right to
+        self._is_echo_received = False  # there may be no right to
         self._options = options
         self._ready: _Ready | None = None
 
@@ -210,7 +210,7 @@ class ClusterConnection:
             return []
 
         def read(asked_s: float) -> None:
-            if of.confirm is not None and not self._is_echo_heard:
+            if of.confirm is not None and not self._is_echo_received:
                 of.confirm(asked_s)
 
         parts = [keep_asking(client, self._within_s, read)]
@@ -255,23 +255,23 @@ class ClusterConnection:
     async def _compare(self, used: aiomqtt.Client, ready: _Ready, of: Companions) -> None:
         """Find out time and again whether two nodes hear each other."""
 
-        def report(is_heard: bool) -> None:
-            self._is_echo_heard |= is_heard
-            if self.is_apart != is_heard or not self._is_echo_heard:
+        def report(is_received: bool) -> None:
+            self._is_echo_received |= is_received
+            if self.is_apart != is_received or not self._is_echo_received:
                 return
-            self.is_apart = not is_heard
-            state = "are one cluster again" if is_heard else "do not hear each other: both are used"
+            self.is_apart = not is_received
+            state = "are one cluster again" if is_received else "do not hear each other: both are used"
             here, there = self.settings, ready.settings
             places = here.host, here.port, there.host, there.port
             _log.warning("%s: the brokers at %s:%d and %s:%d %s", self._role, *places, state)
             if of.beside is not None:
-                of.beside(None if is_heard else ready.client)
+                of.beside(None if is_received else ready.client)
 
         echo = _Echo(f"{self._echo_topic}/{secrets.token_hex(4)}", report, of.confirm)
         await ready.client.subscribe(echo.topic)
         if of.prepare is not None:
             await of.prepare(ready.client)
-        await first_to_end(echo.listen(ready.client, of.take), echo.say(used, self._within_s))
+        await first_to_end(echo.listen(ready.client, of.take), echo.publish(used, self._within_s))
 
 
 class _Echo:
@@ -282,27 +282,27 @@ class _Echo:
     REMEMBERED = 100
 
     def __init__(self, topic: str, report: Callable[[bool], None], confirm: Confirm | None) -> None:
-        """topic: of this pair of connections alone. report: given whether it is heard."""
+        """topic: of this pair of connections alone. report: given whether it is received."""
         self.topic = topic
         self._report = report
         self._confirm = confirm
-        self._said: dict[int, float] = {}
-        self._number = self._heard = 0
+        self._sent_s: dict[int, float] = {}
+        self._number = self._newest = 0
 
-    async def say(self, used: aiomqtt.Client, within_s: float) -> None:
+    async def publish(self, used: aiomqtt.Client, within_s: float) -> None:
         """Publish one after another, and tell when none comes back for about ``within_s``; for ever."""
         while True:
             self._number += 1
-            self._said[self._number] = time.monotonic()
-            self._said.pop(self._number - self.REMEMBERED, None)
+            self._sent_s[self._number] = time.monotonic()
+            self._sent_s.pop(self._number - self.REMEMBERED, None)
             # By the client itself, whose messages leave in the order of publishing: poses come before.
             used._client.publish(self.topic, EchoMessage(number=self._number).payload())
             await asyncio.sleep(within_s / self.MISSED)
-            if self._number - self._heard >= self.MISSED:
+            if self._number - self._newest >= self.MISSED:
                 self._report(False)
 
     async def listen(self, ready: aiomqtt.Client, take: Callable[[aiomqtt.Message], None] | None) -> None:
-        """Take what is heard; for ever. Raises ``aiomqtt.MqttError`` when the connection is lost."""
+        """Take what comes; for ever. Raises ``aiomqtt.MqttError`` when the connection is lost."""
         async for message in ready.messages:
             if message.topic.value == self.topic:
                 self._take(message.payload)
@@ -314,13 +314,13 @@ class _Echo:
             number = EchoMessage.model_validate_json(payload).number
         except ValidationError:
             return
-        said_s = self._said.pop(number, None)
-        if said_s is None:
+        sent_s = self._sent_s.pop(number, None)
+        if sent_s is None:
             return
-        self._heard = max(self._heard, number)
+        self._newest = max(self._newest, number)
         self._report(True)
         if self._confirm is not None:
-            self._confirm(said_s)
+            self._confirm(sent_s)
 
 
 async def _hung_up(stack: AsyncExitStack, reason: Exception) -> None:

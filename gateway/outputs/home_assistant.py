@@ -57,7 +57,7 @@ def discovery(prefix: str, topics: Topics, info: BridgeInfo) -> Iterator[tuple[s
             "name": f"{info.gateway} module {module.module} ({module.segment})",
             "via_device": node,
         }
-        heard = {
+        connectivity = {
             "name": "Heard",
             "unique_id": f"{node}_{name}_heard",
             "device_class": "connectivity",
@@ -67,7 +67,7 @@ def discovery(prefix: str, topics: Topics, info: BridgeInfo) -> Iterator[tuple[s
             "availability": [_available_by(topics.bridge_state)],
             "device": device,
         }
-        yield f"{prefix}/binary_sensor/{node}/{name}_heard/config", orjson.dumps(heard)
+        yield f"{prefix}/binary_sensor/{node}/{name}_heard/config", orjson.dumps(connectivity)
         for key, sensor in _SENSORS.items():
             config = {
                 **sensor,

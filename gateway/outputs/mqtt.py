@@ -115,10 +115,10 @@ class MqttOutput:
         self._settings = settings
         self._identifier = settings.client_id or unique_identifier(info.gateway)
         self._publications = PosePublications(settings, skeleton, self.topics, markers)
-        self._properties = properties_of(settings.spoken_protocol, JSON)
+        self._properties = properties_of(settings.protocol_in_use, JSON)
         self.instance = secrets.token_hex(8)
         """Another one for every output that is made: tells gateways of one name apart."""
-        self.rights = PublishRights(are_reported=settings.spoken_protocol == "5")
+        self.rights = PublishRights(are_reported=settings.protocol_in_use == "5")
         self._name = NameGuard(settings, self.topics, self.instance)
         self._probe_due = 0.0
         self._info = info = info.model_copy(update={"instance": self.instance})
@@ -420,7 +420,7 @@ class MqttOutput:
             await self._publish_queue(client, direct)
 
     def _direct_publisher(self, client: aiomqtt.Client) -> DirectPublisher:
-        return DirectPublisher(client, has_properties=self._settings.spoken_protocol == "5")
+        return DirectPublisher(client, has_properties=self._settings.protocol_in_use == "5")
 
     @contextlib.contextmanager
     def _handing_over(self, client: aiomqtt.Client) -> Iterator[DirectPublisher]:
@@ -529,19 +529,19 @@ class MqttOutput:
         self._retained.begin_again()
         await self._retained.publish(client)
         self._is_announced.set()
-        await first_to_end(self._retained.publish_for_ever(client), self._tell_health(client))
+        await first_to_end(self._retained.publish_for_ever(client), self._publish_health_regularly(client))
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_DRAIN_S):
                 await self._retained.publish(client)
-        await self._say_offline(client)
+        await self._publish_offline(client)
 
-    async def _say_offline(self, client: aiomqtt.Client) -> None:
+    async def _publish_offline(self, client: aiomqtt.Client) -> None:
         """Publish the state, and take off the broker what is not to stay."""
         await client.publish(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
         for topic in self._retained.topics if self.leaves_nothing else ():
             await client.publish(topic, b"", qos=1, retain=True)
 
-    async def _tell_health(self, client: aiomqtt.Client) -> None:
+    async def _publish_health_regularly(self, client: aiomqtt.Client) -> None:
         """Until stopped."""
         while not self._stopping.is_set():
             await self._publish_health(client)
@@ -655,7 +655,7 @@ class MqttOutput:
                 await self._publish_waiting(client, direct)
         except TimeoutError:
             logger.debug("%d poses were still queued at the end", len(self._queue))
-        await self._say_offline(client)
+        await self._publish_offline(client)
 
     def _report_outage(self, error: Exception) -> None:
         """One warning for a broker that is away, one more if it then refuses us."""

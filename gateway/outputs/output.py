@@ -10,7 +10,9 @@ from gateway.frames import SkeletonFrame
 class Output(Protocol):
     """Takes skeleton frames. ``offer`` never waits: a slow reader must not stall sensing."""
 
-    def offer(self, frame: SkeletonFrame) -> None: ...
+    def offer(self, frame: SkeletonFrame) -> None:
+        """Take a frame, or drop it and count that. Never waits."""
+        ...
 
 
 class Thinning:

@@ -77,14 +77,14 @@ class TwinWatch:
         self._instance = instance
         self._clock = clock
         self._twin: str | None = None
-        self._heard_s = 0.0
+        self._received_s = 0.0
         self._warned_s: float | None = None
         self._retained_other = self._retained_online = False
 
     @property
     def twin(self) -> str | None:
         """Id of another gateway of our name that was heard lately."""
-        is_recent = self._twin is not None and self._clock() - self._heard_s < FORGET_S
+        is_recent = self._twin is not None and self._clock() - self._received_s < FORGET_S
         return self._twin if is_recent else None
 
     @property
@@ -97,16 +97,16 @@ class TwinWatch:
         """Take a message of a watched topic; whether our own state and info must be published anew, since
         somebody else has said in our name that we are offline."""
         try:
-            told = orjson.loads(payload)
+            content = orjson.loads(payload)
         except orjson.JSONDecodeError:
             return False
-        if not isinstance(told, dict):
+        if not isinstance(content, dict):
             return False
         if topic == self._topics.bridge_state:
-            is_offline = told.get("state") == "offline"
+            is_offline = content.get("state") == "offline"
             self._retained_online = is_retained and not is_offline
             return is_offline and not is_retained
-        instance = told.get("instance")
+        instance = content.get("instance")
         if isinstance(instance, str) and instance != self._instance:
             if is_retained:
                 self._retained_other = True
@@ -117,7 +117,7 @@ class TwinWatch:
     def _note(self, instance: str) -> None:
         now_s = self._clock()
         is_new = self.twin is None
-        self._twin, self._heard_s = instance, now_s
+        self._twin, self._received_s = instance, now_s
         if is_new and (self._warned_s is None or now_s - self._warned_s > WARN_INTERVAL_S):
             self._warned_s = now_s
             _log.warning(

@@ -112,11 +112,13 @@ class PoseEncoder:
                 np.divide(rounded, self._scale, rounded)
                 np.add(rounded, 0.0, rounded)
             text = orjson.dumps(rounded, option=orjson.OPT_SERIALIZE_NUMPY)
+            # What is not finite is null in JSON: then the message is made the slow way, row by row.
             if b"null" in text:
                 return None
             rows += text[2:-2].split(b"],[") if rounded.ndim == 2 else text[1:-1].split(b",")
         if len(frame.status) != len(self._names):
             return None
+        # Root and status hardly ever change: all but the numbers is encoded once, and kept.
         key = (frame.root, frame.status.tobytes())
         if key != self._template_key:
             self._template_key, self._template = key, self._template_of(frame)
@@ -294,7 +296,7 @@ class PosePublications:
         self._markers_due = None if settings.marker_rate is None else Thinning(settings.marker_rate)
         self.has_segments = True
         """Whether messages of single segments and of markers are made, where they are configured."""
-        protocol, expiry_s = settings.spoken_protocol, settings.pose_expiry_s
+        protocol, expiry_s = settings.protocol_in_use, settings.pose_expiry_s
         self._json = properties_of(protocol, JSON, expiry_s)
         self._msgpack = properties_of(protocol, MSGPACK, expiry_s)
 

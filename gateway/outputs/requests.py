@@ -201,7 +201,7 @@ class RequestResponder:
     async def _answer(self, asked: _Asked, response: ResponseMessage) -> None:
         if self._client is None:
             return
-        properties = properties_of(self._settings.spoken_protocol, JSON)
+        properties = properties_of(self._settings.protocol_in_use, JSON)
         if properties is not None and asked.correlation is not None:
             properties.CorrelationData = asked.correlation
         try:

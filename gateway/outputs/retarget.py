@@ -117,11 +117,13 @@ class _RobotNode:
         self._tf: RosTopic | None = None
 
     async def open(self) -> None:
+        """Join ROS 2 and announce the topics. Raises as ``RosNode.open``."""
         await self._node.open()
         self._joint_states = self._node.topic(self._topic, JOINT_STATE)
         self._tf = self._node.topic(TF, TF_MESSAGE)
 
     def publish(self, pose: RobotPose) -> None:
+        """Publish the joints' angles and rates, and the base where it is known."""
         numbers = np.stack([pose.angles, pose.rates])
         self._joint_states.put(pose.time_ns, self._states.encode(pose.time_ns, numbers))
         if pose.base_position is not None and self._tf is not None:
@@ -129,4 +131,5 @@ class _RobotNode:
             self._tf.put(pose.time_ns, data)
 
     def close(self) -> None:
+        """Leave ROS 2."""
         self._node.close()

@@ -55,7 +55,7 @@ class NameGuard:
         if self._settings.same_name == "ignore":
             return
         for topic in self._twins.watched:
-            if self._settings.spoken_protocol == "5":
+            if self._settings.protocol_in_use == "5":
                 await client.subscribe(topic, options=SubscribeOptions(qos=1, noLocal=True))
             else:
                 await client.subscribe(topic, qos=1)

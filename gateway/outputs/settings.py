@@ -296,7 +296,7 @@ class MqttSettings(BaseModel):
         return bool(self.failover) or self.late is not None
 
     @property
-    def spoken_protocol(self) -> Literal["3.1.1", "5"]:
+    def protocol_in_use(self) -> Literal["3.1.1", "5"]:
         """The MQTT version that the chosen broker understands."""
         return "3.1.1" if self.broker == "embedded" else self.protocol
 

@@ -50,7 +50,9 @@ class Sink(Protocol):
     def send(self, frame: SkeletonFrame) -> bool:
         """Whether the system took all of it. May raise ``OSError``."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Free what it holds."""
+        ...
 
 
 class LatestOutput:
@@ -138,7 +140,9 @@ class LatestOutput:
 class Encoder(Protocol):
     """Makes the datagrams of a frame."""
 
-    def encode(self, frame: SkeletonFrame) -> list[bytes]: ...
+    def encode(self, frame: SkeletonFrame) -> list[bytes]:
+        """Return the datagrams of a frame, in order of sending."""
+        ...
 
 
 class DatagramSink:
@@ -358,6 +362,7 @@ class JsonDatagrams:
         self._bodies = Thinning(1.0) if settings.body else None
 
     def encode(self, frame: SkeletonFrame) -> list[bytes]:
+        """Return the pose; once a second the body before it, where it is wanted."""
         pose = self._encoder.encode(frame)
         if self._bodies is not None and self._bodies.admits(frame.time_ns):
             return [self._body, pose]

@@ -145,7 +145,7 @@ class SlimevrSink:
         assert self._socket is not None
         with contextlib.suppress(OSError):  # nobody listens there
             data = self._socket.recv(_LARGEST)
-            self._write(self.session.hear(data, asyncio.get_running_loop().time()))
+            self._write(self.session.receive(data, asyncio.get_running_loop().time()))
 
     def _write(self, datagrams: list[bytes]) -> bool:
         assert self._socket is not None

@@ -92,10 +92,12 @@ class _Connection(asyncio.Protocol):
         self.gone = asyncio.Event()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Have small messages leave at once, and a dead peer be noticed."""
         connected = transport.get_extra_info("socket")
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         keep_alive(connected)
 
     def connection_lost(self, error: Exception | None) -> None:
+        """Note that the other side has hung up."""
         self.gone.set()

@@ -128,7 +128,7 @@ class Asked(NamedTuple):
     floor: FloatArray  # (n,) what of it is no wonder
 
 
-class Heard(NamedTuple):
+class Measured(NamedTuple):
     """The joints and the sums of products of their modules."""
 
     sides: Records[Side]
@@ -182,9 +182,9 @@ def _asked(joints: Joints, agreement: AgreementState, worn: Worn) -> Asked:
     """Return how the joints agree when all modules are worn as the rig says."""
     _, turned, power, swing = pairs_of(joints.sides, agreement.pairs).T
     is_known = (worn.is_known > 0) & (worn.is_known[joints.sides["parent"]] > 0)
-    can_tell = (power >= LEAST_ACCELERATION**2) & is_known
+    is_observable = (power >= LEAST_ACCELERATION**2) & is_known
     floor = ARM_OFF**2 * swing + TILT_OFF**2 * power + NOISE**2
-    return Asked(np.where(can_tell, turned, np.nan), np.where(can_tell, floor, np.nan))
+    return Asked(np.where(is_observable, turned, np.nan), np.where(is_observable, floor, np.nan))
 
 
 def _explained(
@@ -260,20 +260,20 @@ def _best(
     is_free = worn.is_known > 0
     is_free[list(explained)] = False
     at_work = Arrangement(now.place.copy(), now.turn.copy())
-    heard = Heard(joints.sides, agreement.pairs)
-    return Found(*_search(heard, at_work, worn, asked, largest, np.flatnonzero(is_free)))
+    measured = Measured(joints.sides, agreement.pairs)
+    return Found(*_search(measured, at_work, worn, asked, largest, np.flatnonzero(is_free)))
 
 
 @compiled
 def _search(
-    heard: Heard, now: Arrangement, worn: Worn, asked: Asked, largest: FloatArray, free: IntArray
+    measured: Measured, now: Arrangement, worn: Worn, asked: Asked, largest: FloatArray, free: IntArray
 ) -> tuple[float, int, int, int]:
     """Try all explanations of the segments ``free``; return the parts of a ``Found``.
 
     now: is worked on. largest: (n,) what a joint can gain at most, nepers.
     """
     gain, first, second, best_turn = 0.0, NOBODY, NOBODY, 0
-    sides, place, turn = heard.sides, now.place, now.turn
+    sides, place, turn = measured.sides, now.place, now.turn
     for a in range(len(free)):
         for b in range(a, len(free)):
             s, o, reach = free[a], free[b], 0.0
@@ -293,7 +293,7 @@ def _search(
                 total = 0.0
                 for j in range(len(sides)):
                     if _has_part(sides, asked.floor, j, s, o):
-                        after, floor = _difference(heard, place, turn, j), asked.floor[j]
+                        after, floor = _difference(measured, place, turn, j), asked.floor[j]
                         gained = 0.5 * math.log((asked.difference[j] + floor) / (after + floor))
                         total += 0.0 if math.isnan(gained) else gained
                 if total > gain:
@@ -350,28 +350,28 @@ def _differences(
 ) -> FloatArray:
     """Return ``Pair.turned`` of joints, (H, k); NaN where the two modules have not sent together."""
     turn = now.turn.reshape(-1, *now.turn.shape[-3:])
-    return _arranged(Heard(joints.sides, agreement.pairs), now.place, turn, concerned)
+    return _arranged(Measured(joints.sides, agreement.pairs), now.place, turn, concerned)
 
 
 @compiled
-def _arranged(heard: Heard, place: IntArray, turn: FloatArray, concerned: IntArray) -> FloatArray:
+def _arranged(measured: Measured, place: IntArray, turn: FloatArray, concerned: IntArray) -> FloatArray:
     found = np.empty((len(turn), len(concerned)))
     for h in range(len(turn)):
         for c in range(len(concerned)):
-            found[h, c] = _difference(heard, place, turn[h], concerned[c])
+            found[h, c] = _difference(measured, place, turn[h], concerned[c])
     return found
 
 
 @compiled
-def _difference(heard: Heard, place: IntArray, turn: FloatArray, j: int) -> float:
+def _difference(measured: Measured, place: IntArray, turn: FloatArray, j: int) -> float:
     """Return ``Pair.turned`` of a joint; NaN where the two modules have not sent together."""
-    side, p = heard.sides[j], heard.sides[j].parent
-    if not is_common(heard.pairs, place[j], place[p]):
+    side, p = measured.sides[j], measured.sides[j].parent
+    if not is_common(measured.pairs, place[j], place[p]):
         return math.nan
     arm, arm_p = np.zeros(3), np.zeros(3)
     for row in range(3):
         for m in range(3):
             arm[row] += turn[j, row, m] * side.from_child[m]
             arm_p[row] += turn[p, row, m] * side.from_parent[m]
-    turned: float = pair(heard.pairs, place[j], arm, place[p], arm_p).turned
+    turned: float = pair(measured.pairs, place[j], arm, place[p], arm_p).turned
     return turned

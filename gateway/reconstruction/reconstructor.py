@@ -11,7 +11,9 @@ from gateway.frames import ImuFrame, SkeletonFrame
 class Reconstructor(Protocol):
     """Sans-I/O, no clock of its own, deterministic: the same frames give the same result, bit for bit."""
 
-    def update(self, observation: ImuFrame) -> SkeletonFrame: ...
+    def update(self, observation: ImuFrame) -> SkeletonFrame:
+        """Return the pose at the instant of a frame; frames come in order of time."""
+        ...
 
     def reset(self) -> None:
         """Forget everything but the parameters."""

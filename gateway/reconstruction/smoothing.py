@@ -122,15 +122,15 @@ class Smoother:
         if self._waiting:
             self._go_forward(self._waiting)
             self._waiting = []
-        tell = progress or (lambda done, total: None)
+        report = progress or (lambda done, total: None)
         total = 2 * self._n_blocks
         backward = self._forward.turned_back()
         later: list[LocalReading] = []
         for k in reversed(range(self._n_blocks)):
             later = self._go_backward(k, backward, later)
-            tell(self._n_blocks - k, total)
+            report(self._n_blocks - k, total)
         for k in range(self._n_blocks):
-            tell(self._n_blocks + k + 1, total)  # before: who takes the last pose asks for no more
+            report(self._n_blocks + k + 1, total)  # before: who takes the last pose asks for no more
             yield from self._finished(k)
 
     def _go_forward(self, frames: Sequence[ImuFrame]) -> None:

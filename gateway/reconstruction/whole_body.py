@@ -65,16 +65,23 @@ from gateway.reconstruction.whole_body_frames import (
 class OrientationFinder(Protocol):
     """What this wraps: any reconstructor."""
 
-    def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame: ...
+    def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
+        """Return orientations at the instant of a frame. stood_s: (S,) s that each segment has been at
+        rest."""
+        ...
 
-    def reset(self) -> None: ...
+    def reset(self) -> None:
+        """Forget everything but the parameters."""
+        ...
 
 
 @runtime_checkable
-class TellsCertainty(Protocol):
+class HasCertainty(Protocol):
     """A finder that knows how sure it is of tilts and headings apart."""
 
-    def certainty(self) -> dict[str, dict[str, float | str | None]]: ...
+    def certainty(self) -> dict[str, dict[str, float | str | None]]:
+        """Return, by segment, standard deviations in rad, and what shows the heading."""
+        ...
 
 
 class Prepared(NamedTuple):
@@ -266,7 +273,7 @@ class WholeBodyReconstructor:
 
         Empty if the finder does not know.
         """
-        return self.finder.certainty() if isinstance(self.finder, TellsCertainty) else {}
+        return self.finder.certainty() if isinstance(self.finder, HasCertainty) else {}
 
     def joint_agreement(self) -> dict[str, float]:
         """Return by segment how its module and its best neighbour agree about their joint.
@@ -294,24 +301,24 @@ class WholeBodyReconstructor:
         if mounting.partner[s] != s:
             place = names[mounting.partner[s]]
             return (
-                f"{_spoken(names[s])} and {_spoken(place)} move as if their modules had changed places: "
-                f"check that module {module} is on the {_spoken(names[s])} and module {other} on the "
-                f"{_spoken(place)}, or exchange them with 'modules assign'"
+                f"{_in_words(names[s])} and {_in_words(place)} move as if their modules had changed places: "
+                f"check that module {module} is on the {_in_words(names[s])} and module {other} on the "
+                f"{_in_words(place)}, or exchange them with 'modules assign'"
             )
 
         near = [int(p) for p in (self._joints.sides[s].parent,) if p >= 0]
         near += [int(c) for c in np.flatnonzero(self._joints.sides["parent"] == s)]
-        around = " and ".join(_spoken(names[k]) for k in near)
+        around = " and ".join(_in_words(names[k]) for k in near)
 
         degrees = math.degrees(math.acos(min(max((np.trace(mounting.turn[s]) - 1.0) / 2.0, -1.0), 1.0)))
         either = (
             ""
             if mounting.rival[s] == NOBODY
-            else f" (or module {rival} on the {_spoken(names[mounting.rival[s]])})"
+            else f" (or module {rival} on the {_in_words(names[mounting.rival[s]])})"
         )
         return (
-            f"{_spoken(names[s])} and {around} disagree about the joint between them, as if module {module} "
-            f"were turned by {degrees:.0f}°{either}: check that it is worn as the rig says, or run "
+            f"{_in_words(names[s])} and {around} disagree about the joint between them, as if module "
+            f"{module} were turned by {degrees:.0f}°{either}: check that it is worn as the rig says, or run "
             "'calibrate body'"
         )
 
@@ -375,21 +382,25 @@ def _numbers(pose: SkeletonFrame) -> IntArray:
 class _ArrayFinder(Protocol):
     """A finder that takes many frames in one call, in arrays."""
 
-    def poses(
-        self, observations: Sequence[ImuFrame], frames: StackedFrames, stood_s: FloatArray
-    ) -> Poses: ...
+    def poses(self, observations: Sequence[ImuFrame], frames: StackedFrames, stood_s: FloatArray) -> Poses:
+        """Return the poses of frames in order. stood_s: (T, S) s that each segment has been at rest."""
+        ...
 
 
 @runtime_checkable
 class _Resumable(Protocol):
     """A finder whose state can be saved."""
 
-    def state(self) -> dict[str, NDArray[np.generic]]: ...
+    def state(self) -> dict[str, NDArray[np.generic]]:
+        """Return all that it keeps from frame to frame, by name."""
+        ...
 
-    def set_state(self, state: dict[str, NDArray[np.generic]]) -> None: ...
+    def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
+        """Go on from what ``state`` returned."""
+        ...
 
 
-def _spoken(segment: str) -> str:
+def _in_words(segment: str) -> str:
     return segment.replace("_", " ")
 
 

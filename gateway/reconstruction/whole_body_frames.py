@@ -220,13 +220,13 @@ def finish_frames(
     finite_rate, origin = np.empty((len(parents), 3)), np.empty(3)
     for t in range(first, len(root)):
         if t > first or not is_judged:
-            _tell_clipped(status[t], clipped[t])
+            _mark_clipped(status[t], clipped[t])
             watch_joints(joints, agreement, Pose(q_wb[t], force[t], rate[t], status[t]), dt[t])
             judged[0] += dt[t]
             if judged[0] >= JUDGED_EVERY_S:
                 return t
 
-        tell_doubtful(status[t], sigma[t], is_doubtful)
+        mark_doubtful(status[t], sigma[t], is_doubtful)
         follow(rules, q_wb[t], rate[t], sigma[t], status[t])
 
         if len(walks) > 0:
@@ -247,7 +247,7 @@ def finish_frames(
 
 
 @compiled
-def _tell_clipped(status: StatusArray, clipped: StatusArray) -> None:
+def _mark_clipped(status: StatusArray, clipped: StatusArray) -> None:
     """Set ``status`` of segments with a sensor at the end of its range, in place.
 
     PREDICTED: such a gyroscope does not show how far the segment has turned, whatever the finder. UNAIDED:
@@ -262,7 +262,7 @@ def _tell_clipped(status: StatusArray, clipped: StatusArray) -> None:
 
 
 @compiled
-def tell_doubtful(status: StatusArray, sigma: FloatArray, is_doubtful: StatusArray) -> None:
+def mark_doubtful(status: StatusArray, sigma: FloatArray, is_doubtful: StatusArray) -> None:
     """Mark measured segments whose modules seem to be worn otherwise, in place.
 
     They become DOUBTFUL, with the sigma of an unknown orientation.

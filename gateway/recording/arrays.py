@@ -49,6 +49,7 @@ class SkeletonArrays:
 
     @property
     def segment_names(self) -> tuple[str, ...]:
+        """Names of the segments, in the order of the second axis."""
         return self.skeleton.segment_names
 
     @property

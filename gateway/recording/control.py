@@ -99,7 +99,7 @@ class RecordingControl:
         self.marks = 0
         transforms = BodyTransforms(self._suit.skeleton) if self._settings.recording.transforms else None
         self._recorder = Recorder(
-            sink, self._settings.recording.flush_ms * 1e-3, self._say_why_it_ended, transforms
+            sink, self._settings.recording.flush_ms * 1e-3, self._log_why_it_ended, transforms
         )
         self.event("recording_begun", {"from_start": begins_whole})
         self._watching = asyncio.get_running_loop().create_task(
@@ -282,7 +282,7 @@ class RecordingControl:
                 self._keep_statistics()
                 due += STATISTICS_INTERVAL_S
 
-    def _say_why_it_ended(self, reason: str) -> None:
+    def _log_why_it_ended(self, reason: str) -> None:
         """Called in the recorder's thread."""
         self._lasted_s = time.monotonic() - self._begun
         if reason == "stopped":

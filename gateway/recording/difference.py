@@ -39,6 +39,7 @@ class Difference:
 
     @property
     def segment_names(self) -> tuple[str, ...]:
+        """Names of the segments that were compared."""
         return tuple(figures.segment for figures in self.segments)
 
 

@@ -122,7 +122,7 @@ class Shelf:
         path = self._kept(request.file)
         command = ["export", str(path), "--to", request.to, "--force", "--json"]
         async with self._exporting:
-            written = json.loads(await _said_by(command))[0]
+            written = json.loads(await _output_of(command))[0]
         return {"file": path.with_suffix(FORMATS[request.to].suffix).name} | {
             key: written[key] for key in ("bytes", "frames", "rate_hz", "seconds", "interpolated")
         }
@@ -192,7 +192,7 @@ def _piece(path: Path, offset: int, length: int) -> tuple[bytes, int]:
         raise RecordingError(f"{path} cannot be read: {error.strerror}") from error
 
 
-async def _said_by(arguments: list[str]) -> str:
+async def _output_of(arguments: list[str]) -> str:
     """Return what a command prints. Raises ``RecordingError`` with its error."""
     # In a process of its own and at low priority: exports must not delay poses.
     command = ["nice", "-n", "10", sys.executable, "-m", "gateway", *arguments]

@@ -107,11 +107,11 @@ class SmoothedPoses:
         for section in self._sections:
             share, begun = section.n_frames, done
 
-            def tell(part: int, parts: int, share: int = share, begun: int = begun) -> None:
+            def report(part: int, parts: int, share: int = share, begun: int = begun) -> None:
                 if progress is not None:
                     progress(begun + share * part // max(1, parts), total)
 
-            yield from section.poses(tell)
+            yield from section.poses(report)
             done += share
 
     def _begin_section(self) -> None:

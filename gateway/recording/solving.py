@@ -54,6 +54,7 @@ class Verification:
 
     @property
     def is_identical(self) -> bool:
+        """Whether every recorded pose was made again, bit for bit."""
         return self.difference is None and self.compared > 0
 
 
@@ -125,8 +126,8 @@ def verify(recording: Recording, progress: Progress | None = None) -> Verificati
     recomputed: deque[bytes] = deque()
     markers: deque[bytes] = deque(maxlen=_MOST_WAITING)  # left here where none were recorded
     compared = 0
-    with _poses_by_message(recording, recorded_source(recording), progress) as (poses_of, tell):
-        for message in _with_progress(recording, tell):
+    with _poses_by_message(recording, recorded_source(recording), progress) as (poses_of, read_progress):
+        for message in _with_progress(recording, read_progress):
             if message.topic == fmt.SKELETON:
                 made = recomputed.popleft() if recomputed else None
                 if made != message.data:
@@ -173,11 +174,11 @@ def write_solved(
     is_shown = source.settings.recording.transforms
     transforms = BodyTransforms(source.suit.skeleton) if is_shown else None
     with (
-        _poses_by_message(recording, source, progress) as (poses_of, tell),
+        _poses_by_message(recording, source, progress) as (poses_of, read_progress),
         DerivedRecordingWriter(target, session, attachments, meta.begun_ns) as writer,
     ):
         # Everything else is copied as it is, so that the new recording replays like the old one.
-        for count, message in enumerate(_with_progress(recording, tell)):
+        for count, message in enumerate(_with_progress(recording, read_progress)):
             if message.topic not in _MADE_ANEW:
                 writer.add(message.topic, message.time_ns, message.data, _metadata(recording, message.topic))
             for frame in poses_of(message):

@@ -153,8 +153,8 @@ def _newest_statistics(stream: BinaryIO, summary: Summary) -> dict[str, Any] | N
     reader = StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST_RECORD)
     chunk = next(iter(reader.records))
     found = chunk_records(chunk, most_records(stream.tell())) if isinstance(chunk, Chunk) else []
-    told = [part.data for part in found if isinstance(part, Message) and part.channel_id in numbers]
-    return _plain(told[-1]) if told else None
+    payloads = [part.data for part in found if isinstance(part, Message) and part.channel_id in numbers]
+    return _plain(payloads[-1]) if payloads else None
 
 
 def _by_reading(file: RecordingFile, figures: _Figures) -> None:
@@ -179,12 +179,12 @@ def _modules(statistics: dict[str, Any]) -> dict[str, dict[str, int]]:
     modules = statistics.get("modules")
     if not isinstance(modules, dict):
         return {}
-    told = {
+    by_module = {
         name: figures for name, figures in modules.items() if name.isdecimal() and isinstance(figures, dict)
     }
     return {
-        name: {key: _count(told[name].get(key)) for key in ("received", "lost")}
-        for name in sorted(told, key=int)
+        name: {key: _count(by_module[name].get(key)) for key in ("received", "lost")}
+        for name in sorted(by_module, key=int)
     }
 
 

@@ -36,6 +36,7 @@ class ModuleFindings:
 
     @property
     def loss_percent(self) -> float:
+        """Share of the packets sent that were lost, %."""
         sent = float(np.nansum(self.lost) + np.nansum(self.received))
         return 100.0 * float(np.nansum(self.lost)) / sent if sent else 0.0
 

@@ -1,4 +1,4 @@
-"""Where people will be, told to the cameras on the links that their heat maps come by."""
+"""Where people will be, sent to the cameras on the links that their heat maps come by."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class CameraOrders:
         self._links = links
         self._writing: dict[str, asyncio.Task[None]] = {}
 
-    def tell(self, line: bytes) -> None:
+    def send(self, line: bytes) -> None:
         """Hand a line of orders to every link that has taken the one before. Needs a running event loop."""
         for link in self._links:
             before = self._writing.get(link.name)

@@ -210,7 +210,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Answer; a method name of the standard library's."""
         path = self.path.partition("?")[0]
         try:
-            self.server.crowd.speak(self.connection)
+            self.server.crowd.note_request(self.connection)
             if self._head.is_too_long:
                 error = f"a request has {LARGEST_HEAD} bytes at most"
                 self._answer_json(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, {"error": error})

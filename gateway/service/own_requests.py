@@ -53,8 +53,8 @@ class OwnRequests:
             if self.on_examine is None:
                 raise GatewayError("this gateway cannot be examined from within: use `mocap-gateway doctor`")
             return await self.on_examine()
-        told = self._mqtt.info if verb == "info" else self._mqtt.health()
-        return told.model_dump(mode="json")
+        message = self._mqtt.info if verb == "info" else self._mqtt.health()
+        return message.model_dump(mode="json")
 
     async def _connect(self, request: ConnectRequest) -> dict[str, Any]:
         if self.on_connect is None:

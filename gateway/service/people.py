@@ -34,14 +34,14 @@ class PeopleBeforeCameras:
     """
 
     def __init__(
-        self, settings: GatewaySettings, suit: WornSuit, serve: Serve, tell: Callable[[bytes], None]
+        self, settings: GatewaySettings, suit: WornSuit, serve: Serve, send: Callable[[bytes], None]
     ) -> None:
         """Begin with nobody. suit: with the cameras; the lengths of its body do not count, everybody is
-        measured. tell: hands orders to the cameras. Raises ``SettingsError`` for a suit without cameras."""
+        measured. send: hands orders to the cameras. Raises ``SettingsError`` for a suit without cameras."""
         if suit.video is None:
             raise SettingsError(f"people: {NO_CAMERAS}")
         assert settings.people is not None
-        self._settings, self._serve, self._tell = settings, serve, tell
+        self._settings, self._serve, self._send = settings, serve, send
         self.crowd = LiveCrowd(suit.video, settings.people)
         self.broker_port = settings.mqtt.port
         """Of the broker that the first service has started or found."""
@@ -57,7 +57,7 @@ class PeopleBeforeCameras:
                 self._present[number][0].hand(Chunk(data, chunk.arrived_ns, LINK))
             for number in instant.left:
                 self._end(number)
-            self._tell(instant.orders)
+            self._send(instant.orders)
 
     async def close(self) -> None:
         """End everybody's service."""

@@ -86,13 +86,13 @@ def is_ready(name: str) -> bool:
 
 
 def make_ready(
-    *names: str, tell: Callable[[int, int], object] = lambda _done, _of: None, folder: Path | None = None
+    *names: str, progress: Callable[[int, int], object] = lambda _done, _of: None, folder: Path | None = None
 ) -> None:
     """Compile what is still to be compiled of these methods, in as many processes as there are cores; takes
     half a minute to a minute.
 
-    tell: is given how many of all steps are done. folder: where it is to lie, ready elsewhere or not; else
-    ``CACHE_DIRECTORY``. Raises ``GatewayError`` if a step fails."""
+    progress: is given how many of all steps are done. folder: where it is to lie, ready elsewhere or not;
+    else ``CACHE_DIRECTORY``. Raises ``GatewayError`` if a step fails."""
     wanted = [name for name in names if folder is not None or not is_ready(name)]
     there = os.environ | ({} if folder is None else {"NUMBA_CACHE_DIR": str(folder)})
     needed = {part for name in wanted for part in _parts_of(name)}
@@ -105,7 +105,7 @@ def make_ready(
     with ThreadPoolExecutor(n_workers) as workers:
 
         def report() -> None:
-            tell(next(n_done), n_steps)
+            progress(next(n_done), n_steps)
 
         for worker in [workers.submit(_compile, waiting, report, there) for _ in parts[:n_workers]]:
             worker.result()

@@ -69,14 +69,14 @@ def _restore(config: Path) -> None:
             before.unlink()
 
 
-def _note(what: str, told: Mapping[str, Any]) -> None:
+def _note(what: str, details: Mapping[str, Any]) -> None:
     """Write a line into the journal of changes, and into the log."""
-    log.warning("settings pushed from the fleet: %s %s", what, json.dumps(told) if told else "")
+    log.warning("settings pushed from the fleet: %s %s", what, json.dumps(details) if details else "")
     path = _journal_file()
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"utc_ns": time.time_ns(), "what": what, **told}) + "\n")
+            file.write(json.dumps({"utc_ns": time.time_ns(), "what": what, **details}) + "\n")
 
 
 class RemoteConfiguration:
@@ -190,7 +190,7 @@ def _differences(
     return found
 
 
-def _at(told: Any, name: str) -> Any:
+def _at(value: Any, name: str) -> Any:
     for step in name.split("."):
-        told = told.get(step) if isinstance(told, dict) else None
-    return told
+        value = value.get(step) if isinstance(value, dict) else None
+    return value

@@ -6,11 +6,10 @@ import asyncio
 import contextlib
 import functools
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
-import gateway
 from devices.command_client import CommandClient
 from devices.link import (
     SUIT,
@@ -22,22 +21,19 @@ from devices.link import (
     gateway_time_ns,
 )
 from devices.link_counts import LinkCounts
-from devices.marker_file_link import MarkerFileLink
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
 from gateway.calibration.kept_rig import KeptRig
 from gateway.calibration.sensor_control import SensorControl
-from gateway.cameras.broker_link import link_of
 from gateway.contract.balances import Balance
-from gateway.contract.messages import BridgeInfo, KernelsInfo, ModuleInfo
+from gateway.contract.messages import BridgeInfo
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
-from gateway.geometry import compiled
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.makers import MakersModules
-from gateway.modules.module_log import ModuleLog, Strangers
+from gateway.modules.module_log import ModuleLog, UnknownModules
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import connect_client
 from gateway.outputs.connection import first_to_end
@@ -55,18 +51,13 @@ from gateway.service.host_sender import HostSender
 from gateway.service.observability import Observer
 from gateway.service.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, TICK_S, LoadWatch
 from gateway.service.own_requests import OwnRequests
+from gateway.service.parts import bridge_info, links_of, periodic_senders, unworn_modules
 from gateway.service.people import CARRIES, PeopleBeforeCameras
-from gateway.service.synchronisation import Synchroniser
-from gateway.service.triggering import Triggerer
 from gateway.settings import GatewaySettings, fitting_suit
-from gateway.sources.clock_mode import ClockMode
 from gateway.sources.losses import Cause
-from gateway.sources.makers import OthersLinkSettings
 from gateway.sources.registry import source_kind
-from gateway.sources.stream import Stream
 from gateway.stages.cameras import CameraStage
 from gateway.support.memory import bound_memory, give_back
-from gateway.support.processor import target_name
 from gateway.support.supervision import kept_running
 
 log = logging.getLogger(__name__)
@@ -102,17 +93,24 @@ class Service:
         config: the file that the settings come from.
         """
         settings = fitting_suit(settings, suit)
-        self.others = others
-        self._handed: dict[str, list[HandedLink]] = {}
-        self.settings = settings
-        self.people: PeopleBeforeCameras | None = None
-        """Several, who come and go before cameras."""
+        self.settings, self.others = settings, others
         self.begun = asyncio.Event()
         """Whether all that could keep it from running is open."""
-        self.links = (
-            links if links is not None else _links_of(settings, self._note_link, lambda: self.mqtt.port)
-        )
+        self.failed_chunks = 0
+        """Chunks that a defect of ours kept from being handled."""
+        self._ingesting: list[asyncio.Task[None]] = []
 
+        self._build_inputs(suit, links)
+        self._build_outputs(suit, bridge_info(settings, suit, awaited))
+        self._build_requests(KeptRig(settings.rig, config), self._build_commands(suit))
+
+    def _build_inputs(self, suit: WornSuit, links: Sequence[Link] | None) -> None:
+        """Build the links, the pipeline behind them, and what records both."""
+        settings = self.settings
+        self._handed: dict[str, list[HandedLink]] = {}
+        self.links = (
+            links if links is not None else links_of(settings, self._note_link, lambda: self.mqtt.port)
+        )
         self.pipeline = Pipeline.from_settings(settings, suit)
         self._carries = {link.name: link.carries for link in settings.links}
         contents = {name: of for link in self.links for name, of in self._contents_of(link).items()}
@@ -123,8 +121,16 @@ class Service:
             settings, suit, contents, self.pipeline.statistics, self.pipeline.modules.restarts
         )
         self._records_at_start = settings.recording.at_start
-        info = _describe(settings, suit, awaited)
 
+        self._orders = CameraOrders([link for link in self.links if self._has_cameras(link)])
+        self.people: PeopleBeforeCameras | None = None
+        """Several, who come and go before cameras."""
+        if settings.people is not None:
+            self.people = PeopleBeforeCameras(settings, suit, _serve_person, self._orders.send)
+
+    def _build_outputs(self, suit: WornSuit, info: BridgeInfo) -> None:
+        """Build what poses go to, and what watches how the gateway fares."""
+        settings = self.settings
         self.side = self._side_outputs(suit)
         self.mqtt = MqttOutput(
             settings.mqtt,
@@ -139,34 +145,29 @@ class Service:
         self.load = LoadWatch()
         parts = self.pipeline, self.links, self.mqtt, self.side
         self.observer = Observer(settings, suit, info, *parts, balances=self.balances, load=self.load)
-        self.failed_chunks = 0
-        """Chunks that a defect of ours kept from being handled."""
-        self._ingesting: list[asyncio.Task[None]] = []
 
-        stream = self.pipeline.stream
+    def _build_commands(self, suit: WornSuit) -> ModuleOperations:
+        """Build what is sent to modules: commands, requests for time, triggers. Return the operations."""
+        settings, stream = self.settings, self.pipeline.stream
         commanded = [link for link in self.links if self._takes_commands(link)]
         self.commands = CommandClient(commanded, allow_writes=settings.allow_device_writes)
         self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
-        self._strangers = Strangers(stream, suit, _unworn(settings))
+        self._unknown_modules = UnknownModules(stream, suit, unworn_modules(settings))
         self._makers = MakersModules(self._note_sent)
-        operations = ModuleOperations(
-            stream, self.commands, suit, Journal(default_journal_path()), self._makers
-        )
         sender = HostSender(self._note_sent, senders=stream.senders)
-        self._orders = CameraOrders([link for link in self.links if self._has_cameras(link)])
-        if settings.people is not None:
-            self.people = PeopleBeforeCameras(settings, suit, _serve_person, self._orders.tell)
         self._announced: list[Link] = []  # to the pipeline, and with devices that take commands
-        self._askers = list(_askers(settings, self._announced, sender, stream))
+        self._periodic_senders = list(periodic_senders(settings, self._announced, sender, stream))
+        return ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()), self._makers)
 
+    def _build_requests(self, rig: KeptRig, operations: ModuleOperations) -> None:
+        """Build what answers requests over MQTT."""
         self.own_requests = OwnRequests(self.mqtt)
-        rig = KeptRig(settings.rig, config)
         self.calibration = CalibrationControl(
             self.pipeline, rig, self._calibrated, lambda: self.own_requests.perform("reload", {})
         )
-        self.shelf = Shelf(settings.recording, lambda: self.recording.file)
+        self.shelf = Shelf(self.settings.recording, lambda: self.recording.file)
         self.requests = self._responder(operations, rig)
 
     def _side_outputs(self, suit: WornSuit) -> SideOutputs:
@@ -221,7 +222,11 @@ class Service:
         """Return counters for the health message."""
         accounting = {balance.name: balance.summary() for balance in self.balances()}
         return {
-            **{section: told for asker in self._askers for section, told in asker.statistics().items()},
+            **{
+                section: values
+                for sender in self._periodic_senders
+                for section, values in sender.statistics().items()
+            },
             **self.pipeline.statistics(),
             "accounting": accounting,
             "links": {name: counts.summary() for name, counts in self._link_counts.items()},
@@ -291,8 +296,8 @@ class Service:
                     asyncio.create_task(kept_running("the recorder's watch", watch), name="cut off")
                 )
             companions += [
-                asyncio.create_task(kept_running(f"the {asker.name}", asker.run), name=asker.name)
-                for asker in self._askers
+                asyncio.create_task(kept_running(f"the {sender.name}", sender.run), name=sender.name)
+                for sender in self._periodic_senders
             ]
             others = [
                 asyncio.create_task(_run_beside(other), name=other.settings.gateway)
@@ -336,12 +341,12 @@ class Service:
 
     def _least_charge(self) -> float | None:
         """Return the least charge of all modules, 0 to 1; None: none has reported it."""
-        told = [
+        percents = [
             record.health.battery_percent
             for record in self.pipeline.modules.records.values()
             if record.health
         ]
-        return min((percent / 100 for percent in told if percent is not None), default=None)
+        return min((percent / 100 for percent in percents if percent is not None), default=None)
 
     def _contents_of(self, link: Link) -> Mapping[str, str]:
         """Return what a link carries, by the names that its chunks have."""
@@ -413,7 +418,7 @@ class Service:
         """Tell the cameras where the pose will have the person of the rig."""
         stage = self.pipeline.stage_at(link)
         if isinstance(stage, CameraStage) and (orders := stage.orders()):
-            self._orders.tell(orders)
+            self._orders.send(orders)
 
     def _fed(self, chunk: Chunk) -> list[SkeletonFrame]:
         return self._guarded(self.pipeline.feed, chunk) or []
@@ -503,12 +508,12 @@ class Service:
             self.pipeline.modules.notice(name, Cause.LINK_DOWN)
         self.recording.event("link", {"link": name, "state": status.state.value, "reason": status.reason})
 
-    def _warn_of_strangers(self, named: set[str]) -> None:
+    def _warn_of_unknown_modules(self, named: set[str]) -> None:
         """Name who else sends to the links of modules, each once. named: those who were, and are now."""
         for link, figures in self.pipeline.stream.sender_statistics().items():
-            strangers = figures["strangers"]
-            assert isinstance(strangers, list)
-            new = [name for name in strangers if f"{link} {name}" not in named]
+            unknown = figures["strangers"]
+            assert isinstance(unknown, list)
+            new = [name for name in unknown if f"{link} {name}" not in named]
             if new and len(named) < _MOST_STRANGERS_NAMED:
                 named.update(f"{link} {name}" for name in new)
                 log.warning(
@@ -521,18 +526,18 @@ class Service:
     async def _report(self) -> None:
         """Log every ``REPORT_INTERVAL_S`` seconds how many poses and packets came and were lost."""
         frames_before = 0
-        strangers: set[str] = set()
+        unknown: set[str] = set()
         while True:
             await asyncio.sleep(REPORT_INTERVAL_S)
-            self._warn_of_strangers(strangers)
+            self._warn_of_unknown_modules(unknown)
             modules = self.pipeline.modules.records.values()
             frames = self.pipeline.skeleton_frames
             log.info(
                 "%.1f poses/s from %d of the rig's %d modules; packets received %d, lost %d; %s; "
                 "poses dropped %d",
                 (frames - frames_before) / REPORT_INTERVAL_S,
-                self._strangers.known,
-                len(self._strangers.names),
+                self._unknown_modules.known,
+                len(self._unknown_modules.names),
                 sum(record.received for record in modules),
                 sum(record.lost for record in modules),
                 "broker connected" if self.mqtt.is_connected else "NO BROKER",
@@ -540,7 +545,7 @@ class Service:
             )
 
             frames_before = frames
-            if (news := self._strangers.news()) is not None:
+            if (news := self._unknown_modules.news()) is not None:
                 log.warning("%s", news)
 
 
@@ -557,49 +562,3 @@ async def _run_beside(service: Service) -> None:
         await service.run()
     except GatewayError as error:
         log.error("%s ends, the others go on: %s", service.settings.gateway, error)
-
-
-def _links_of(
-    settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None], broker_port: Callable[[], int]
-) -> list[Link]:
-    links = [link_of(link, settings.mqtt, broker_port) for link in settings.links]
-    # A file that was read to its end is not opened again.
-    return [
-        link
-        if isinstance(link, ReplayLink | MarkerFileLink)
-        else ReconnectingLink(link, on_change=functools.partial(on_change, link.name))
-        for link in links
-    ]
-
-
-def _unworn(settings: GatewaySettings) -> set[int]:
-    """Return the numbers that streams of whole bodies may bring although the rig has no such module."""
-    streams = [link for link in settings.links if isinstance(link, OthersLinkSettings)]
-    return {number for link in streams for number in {*link.modules} - {*link.own_numbers}}
-
-
-def _askers(
-    settings: GatewaySettings, links: Sequence[Link], sender: HostSender, stream: Stream
-) -> Iterator[Synchroniser | Triggerer]:
-    """Yield what sends to all modules time and again: for their time, where clocks are estimated from it, and
-    for samples, where the gateway says when to take them."""
-    clock = settings.clock
-    if clock.mode in {ClockMode.ESTIMATED, ClockMode.TRIGGER} and clock.sync_rate_hz:
-        yield Synchroniser(links, sender, 1.0 / clock.sync_rate_hz)
-    if (answers := stream.triggers) is not None:
-        yield Triggerer(links, sender, answers, clock.trigger_rate_hz)
-
-
-def _describe(settings: GatewaySettings, suit: WornSuit, awaited: str | None) -> BridgeInfo:
-    ready, made = compiled.origins()
-    worn = zip(suit.module_of_segment, suit.skeleton.segment_names, strict=True)
-    return BridgeInfo(
-        version=gateway.__version__,
-        gateway=settings.gateway,
-        reconstructor=settings.reconstructor,
-        frame_rate=settings.assembly.rate_hz,
-        modules=tuple(
-            ModuleInfo(module=suit.module_ids[row], segment=segment) for row, segment in worn if row >= 0
-        ),
-        kernels=KernelsInfo(target=target_name(), ready=ready, compiled=made, awaited=awaited),
-    )

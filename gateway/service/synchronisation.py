@@ -50,13 +50,13 @@ class Synchroniser:
         """Ask for ever."""
         while True:
             await asyncio.sleep(self._interval_s * random.uniform(*UNEVENNESS))
-            await self.ask_all()
+            await self.request_all()
 
     def statistics(self) -> dict[str, object]:
         """Return nothing: the clocks have the figures of what the answers are worth."""
         return {}
 
-    async def ask_all(self) -> None:
+    async def request_all(self) -> None:
         """Ask once, over every link."""
         for link in self._links:
             await self._ask(link)

@@ -35,9 +35,9 @@ class Bno08xDevice(MakersDevice):
 
     def readings(self, message: Report, modules: ModuleTable, chunk: Chunk) -> Iterator[FusedReading]:
         """Yield the orientation of a report."""
-        told = self._times.stamp(chunk.arrived_ns, message.index)
-        assert told is not None  # its rate is known
-        number, stamp_us = told
+        stamped = self._times.stamp(chunk.arrived_ns, message.index)
+        assert stamped is not None  # its rate is known
+        number, stamp_us = stamped
         record, time_ns = modules.timed(self.module, stamp_us, chunk)
         counted = record.counter(FusedSample.KIND).count_unwrapped(number, modules.losses(chunk.link))
         if counted is not None:

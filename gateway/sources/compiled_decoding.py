@@ -207,8 +207,8 @@ class Follower:
 
     def _note(self, events: NDArray[np.void], link: str) -> None:
         """Note what kernels have left to be noted. events: (n,) EVENT."""
-        for what, module, kind, first, full, heard_in in events.tolist():
+        for what, module, kind, first, full, received_in in events.tolist():
             if what == TICK:
                 self._table.relayed(link, first)
             else:
-                self._table.missed(link, module, kind, first, full, heard_in)
+                self._table.missed(link, module, kind, first, full, received_in)

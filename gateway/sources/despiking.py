@@ -55,7 +55,7 @@ class Despiker:
         clean = samples.copy()
         n_clean, found = _despike(clean, rows, self._watched, self._last, self._limits)
         if found:
-            self._tell_spikes()
+            self._count_spikes()
         return clean[:n_clean]
 
     @property
@@ -75,7 +75,7 @@ class Despiker:
             self._last = np.concatenate((self._last, np.zeros((row + 1, 2), INERTIAL_SAMPLE)))
         return row
 
-    def _tell_spikes(self) -> None:
+    def _count_spikes(self) -> None:
         """Add to ``spikes`` what the kernel has counted since."""
         for module, row in self._rows.items():
             if self._watched["spikes"][row]:

@@ -55,7 +55,9 @@ class HeatMapSource(ListeningSource):
 
     def _frame(self, instant: Instant) -> HeatMapFrame:
         """Return the person without a number, in all cameras."""
-        shown = {row: each for row, told in instant.told.items() for each in told if each.person == 0}
+        shown = {
+            row: each for row, messages in instant.messages.items() for each in messages if each.person == 0
+        }
         maps = tuple(heat_maps_of(shown.get(row)) for row in range(len(self._row)))
         return HeatMapFrame(instant.sequence, instant.time_ns, maps)
 
@@ -98,7 +100,7 @@ class Instant:
     sequence: int
     time_ns: int
     """Gateway time."""
-    told: Mapping[int, Sequence[HeatMapMessage]]
+    messages: Mapping[int, Sequence[HeatMapMessage]]
     """By camera's row, a message for each person that it followed; none of a camera not waited for."""
 
 
@@ -116,7 +118,7 @@ class Instants:
         self.begun_anew = 0
         """A camera counted from its beginning again: a file was played once more, or a clock set back."""
         self._n = n_cameras
-        self._heard_ns: list[int] = []
+        self._received_ns: list[int] = []
         self._now_ns = 0
         self._forget()
 
@@ -130,8 +132,8 @@ class Instants:
     def add(self, row: int, message: HeatMapMessage, arrived_ns: int) -> bool:
         """Add the message of camera ``row``; return False if its instant was already given."""
         self._now_ns = arrived_ns
-        self._heard_ns = self._heard_ns or [arrived_ns] * self._n
-        self._heard_ns[row] = arrived_ns
+        self._received_ns = self._received_ns or [arrived_ns] * self._n
+        self._received_ns[row] = arrived_ns
         # A sequence number far below the last one means that the sender was restarted.
         if message.sequence <= self._last[row] - _BEGUN_ANEW:
             self.begun_anew += 1
@@ -152,20 +154,21 @@ class Instants:
             first = min(self._waiting)
             if self._is_awaited(first):
                 return
-            told = {row: list(people.values()) for row, people in self._waiting.pop(first).items()}
+            messages = {row: list(people.values()) for row, people in self._waiting.pop(first).items()}
             del self._since_ns[first]
             self._done = first
             self.given += 1
-            self.incomplete += len(told) < self._n
+            self.incomplete += len(messages) < self._n
             assert self._offset_ns is not None
-            yield Instant(first, told[min(told)][0].time_ns + self._offset_ns, told)
+            yield Instant(first, messages[min(messages)][0].time_ns + self._offset_ns, messages)
 
     def _is_awaited(self, sequence: int) -> bool:
         """Return whether a camera may still tell of this instant, and is waited for."""
         whole = {row for row, people in self._waiting[sequence].items() if _is_whole(people.values())}
         missing = set(range(self._n)) - whole
         may_come = any(
-            self._last[row] <= sequence and self._now_ns - self._heard_ns[row] < SILENT_NS for row in missing
+            self._last[row] <= sequence and self._now_ns - self._received_ns[row] < SILENT_NS
+            for row in missing
         )
         is_new = self._now_ns - self._since_ns[sequence] < PATIENCE_NS
         return may_come and (is_new or max(self._waiting) - sequence < PATIENCE)

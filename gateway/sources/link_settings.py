@@ -48,7 +48,7 @@ class LinkSettings(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _carries_what_its_scheme_says(cls, given: Any) -> Any:
+    def _carries_what_its_scheme_has(cls, given: Any) -> Any:
         """Fill in what a scheme can carry alone, where nothing is said."""
         if not isinstance(given, dict) or not isinstance(given.get("url"), str):
             return given

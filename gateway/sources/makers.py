@@ -184,11 +184,16 @@ class MakersDevice:
         if self.sender not in (None, chunk.sender):
             self._strange[ANOTHER_SENDER] += 1
             return ()
-        before = self.decoder.dropped.total()
-        messages = self.decoder.feed(chunk.data)
-        self.is_damaged = self.decoder.dropped.total() != before
+        messages = self._decoded(self.decoder, chunk)
         if messages:
             self.sender = chunk.sender
+        return messages
+
+    def _decoded(self, decoder: Any, chunk: Chunk) -> Sequence[Any]:
+        """Return the messages of a chunk; note whether any of it was damaged."""
+        before = decoder.dropped.total()
+        messages: Sequence[Any] = decoder.feed(chunk.data)
+        self.is_damaged = decoder.dropped.total() != before
         return messages
 
 
@@ -220,10 +225,10 @@ class MakersSource(ListeningSource):
 
     def add_link(self, name: str, content: str) -> None:
         """Announce a device."""
-        told = self._links.get(name)
-        if not isinstance(told, self.settings):
-            told = self.settings.unknown(name, content)
-        self.devices[name] = self.device(told)
+        settings = self._links.get(name)
+        if not isinstance(settings, self.settings):
+            settings = self.settings.unknown(name, content)
+        self.devices[name] = self.device(settings)
         self.modules.add_link(name)
 
     def receive(self, chunk: Chunk) -> list[InertialBatch | FusedReading]:
@@ -294,22 +299,22 @@ class StreamCounter:
         self._strange: tuple[int, int] | None = None
         self._shift = 0
 
-    def number(self, told: int, stamp_ms: int) -> int | None:
+    def number(self, number: int, stamp_ms: int) -> int | None:
         """Return the number of an instant, from one that goes on; None: it is not believed yet."""
-        here = told, stamp_ms
+        here = number, stamp_ms
         if self._newest is None or _goes_on(self._newest, here, _OVERTAKEN, _MISSED):
             self._newest = here if self._newest is None else max(here, self._newest)
         # Two strange numbers that go on from each other are believed: the device counts from anew.
         elif self._strange is not None and _goes_on(self._strange, here, 0, _OVERTAKEN):
             # Too far away to be late or lost packets: numbers are shifted to go on where they were.
-            if not -_OVERTAKEN <= told - self._newest[0] <= _MISSED:
-                self._shift += self._newest[0] + 1 - told
+            if not -_OVERTAKEN <= number - self._newest[0] <= _MISSED:
+                self._shift += self._newest[0] + 1 - number
             self._newest = here
         else:
             self._strange = here
             return None
         self._strange = None
-        return told + self._shift
+        return number + self._shift
 
 
 def _goes_on(before: tuple[int, int], here: tuple[int, int], behind: int, ahead: int) -> bool:
@@ -404,11 +409,11 @@ class CommandLine(Protocol):
         """What is known of it, and of those that share its link."""
         ...
 
-    async def tell(self, data: bytes) -> None:
+    async def send(self, data: bytes) -> None:
         """Write to the device. Raises ``LinkError``."""
         ...
 
-    def ask(self, data: bytes, meant: Callable[[Any], _Found | None], what: str) -> Awaitable[_Found]:
+    def request(self, data: bytes, meant: Callable[[Any], _Found | None], what: str) -> Awaitable[_Found]:
         """Write until a message comes for which ``meant`` returns something, and return that.
 
         what: is asked for, for people. Raises ``LinkError``, and ``NoAnswerError`` where none comes.

@@ -33,10 +33,10 @@ class _Rows:
         self._person = person
         self._link = link
         self._came: dict[str, None] = {}
-        self._said = ""
+        self._warned = ""
         self.of = {label: row for row, label in enumerate(labels)} if person is None else {}
 
-    def learn(self, labels: Collection[str]) -> None:
+    def add_labels(self, labels: Collection[str]) -> None:
         """Take note of the labels of a message."""
         new = [label for label in labels if label not in self._came]
         if not new or len(self._came) > _MOST_LABELS:
@@ -46,9 +46,9 @@ class _Rows:
         try:
             found = spellings([*self._came], self._own, person=self._person, source=self._link)
         except FormatError as error:
-            if str(error) != self._said:
-                self._said = str(error)
-                log.warning("%s", self._said.replace("--person ", "'person' of the link: "))
+            if str(error) != self._warned:
+                self._warned = str(error)
+                log.warning("%s", self._warned.replace("--person ", "'person' of the link: "))
             return
         self.of = {label: rows[name] for label, name in found.items()}
 
@@ -69,7 +69,7 @@ class MarkerFrames:
         """Return the frames that a chunk completes."""
         frames = []
         for message in self.receiver.receive(chunk):
-            self._rows.learn(message.markers.keys())
+            self._rows.add_labels(message.markers.keys())
             positions = np.full((self._n_markers, 3), np.nan)
             for label, place in message.markers.items():
                 row = self._rows.of.get(label)
@@ -102,8 +102,8 @@ class MarkerSource(ListeningSource):
 
     def add_link(self, name: str, content: str) -> None:
         """Announce an optical system."""
-        told = self._settings.get(name)
-        person = told.person if isinstance(told, MarkersLinkSettings) else None
+        settings = self._settings.get(name)
+        person = settings.person if isinstance(settings, MarkersLinkSettings) else None
         self._links[name] = MarkerFrames(self._markers, person, name)
 
     def receive(self, chunk: Chunk) -> list[MarkerFrame]:

@@ -62,8 +62,8 @@ class MocopiDevice(MakersDevice):
             if bone < len(PARENTS) and PARENTS[bone] in found:
                 found[bone] = multiply(found[PARENTS[bone]], turned)
         del found[-1]
-        told = self._numbers.number(message.number, message.time_ms) if found else None
-        if told is None:
+        counted = self._numbers.number(message.number, message.time_ms) if found else None
+        if counted is None:
             self._strange[LEAP_IN_NUMBER] += bool(found)
             return
         ids, losses = [self.module + bone for bone in found], modules.losses(chunk.link)
@@ -71,7 +71,7 @@ class MocopiDevice(MakersDevice):
         records, time_ns = modules.timed_together(ids, self.module, stamp_us, chunk)
         together = list(zip(records, found.values(), strict=True))
         for record, q_ws in reversed(together):  # the root last: it is whom fused frames wait for
-            number = record.counter(FusedSample.KIND).count_unwrapped(told, losses)
+            number = record.counter(FusedSample.KIND).count_unwrapped(counted, losses)
             if number is not None:
                 yield FusedReading(record.module, number, time_ns, q_ws)
 

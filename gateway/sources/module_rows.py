@@ -15,7 +15,7 @@ SEQUENCE = np.dtype(
         ("first", np.int64),
         ("shift", np.int64),  # wire number minus our own: 0 until the module has restarted
         ("goes_on", np.int64),  # 0: the next number, whatever it is, follows on the newest
-        ("heard_in", np.int64),  # chunk of the newest packet
+        ("received_in", np.int64),  # chunk of the newest packet
     ]
 )
 """State of a ``SequenceCounter``."""

@@ -111,13 +111,13 @@ class ModuleTable:
         """Take note of a batch of a relay, before the samples in it. relayed_us: µs of the relay's clock."""
         self._relays[link].observe_tick(relayed_us)
 
-    def missed(self, link: str, module: int, kind: int, first: int, full: int, heard_in: int) -> None:
+    def missed(self, link: str, module: int, kind: int, first: int, full: int, received_in: int) -> None:
         """Take note of packets of a kind that have not come: numbers ``first`` up to ``full``, which came.
 
-        heard_in: the chunk of the link that held the one before them.
+        received_in: the chunk of the link that held the one before them.
         """
         counter = self.records[module].sequences[kind]
-        counter.open_gap(first, full, self._losses[link].cause_since(heard_in))
+        counter.open_gap(first, full, self._losses[link].cause_since(received_in))
 
     def timed(
         self,

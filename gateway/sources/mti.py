@@ -157,12 +157,12 @@ class MtiCommands:
     async def describe(self, line: CommandLine) -> Description:
         """Ask for its number and firmware."""
 
-        async def ask() -> Description:
+        async def request() -> Description:
             number = await _answered(line, Mid.REQUEST_DEVICE_ID)
             firmware = await _answered(line, Mid.REQUEST_FIRMWARE)
             return Description(number.hex(), "MTi", ".".join(map(str, firmware[:3])) or None)
 
-        return await _configuring(line, ask)
+        return await _configuring(line, request)
 
     async def identify(self, line: CommandLine, seconds: int) -> None:
         """Raise ``GatewayError``: an MTi has no light to blink."""
@@ -171,11 +171,11 @@ class MtiCommands:
     async def read(self, line: CommandLine) -> dict[str, Any]:
         """Return the rates in Hz of all that it can send; 0: it does not."""
 
-        async def ask() -> dict[str, Any]:
+        async def request() -> dict[str, Any]:
             sent = read_output_configuration(await _answered(line, Mid.OUTPUT_CONFIGURATION))
             return dict(sent) | {name: 0 for name in ITEMS if name not in sent}
 
-        return await _configuring(line, ask)
+        return await _configuring(line, request)
 
     async def write(self, line: CommandLine, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Send items at rates in Hz, none of those at 0; the device keeps that over a loss of power."""
@@ -197,19 +197,21 @@ class MtiCommands:
 
     def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[Advice]:
         """Yield what would be better otherwise. rate_hz: of the poses."""
-        told = f"mocap-gateway modules set {module} {{}} --allow-writes"
+        command = f"mocap-gateway modules set {module} {{}} --allow-writes"
         for name in _WANTED:
             if not settings.get(name):
                 rate = EVERY_PACKET if isinstance(ITEMS[name].layout, str) else round(rate_hz)
-                yield Advice(f"sends no {name.replace('_', ' ')}", told.format(f"{name}={rate}"))
+                yield Advice(f"sends no {name.replace('_', ' ')}", command.format(f"{name}={rate}"))
         for name in ("acceleration", "rate_of_turn"):
             if 0 < settings.get(name, 0) < LEAST_RATE_SHARE * rate_hz:
                 found = (
                     f"sends {name.replace('_', ' ')} {settings[name]} times a second for {rate_hz:g} poses"
                 )
-                yield Advice(found, told.format(f"{name}={round(rate_hz)}"))
+                yield Advice(found, command.format(f"{name}={round(rate_hz)}"))
         if not settings.get("status_word"):
-            yield Advice("does not say when a sensor is clipped", told.format(f"status_word={EVERY_PACKET}"))
+            yield Advice(
+                "does not say when a sensor is clipped", command.format(f"status_word={EVERY_PACKET}")
+            )
 
 
 async def _configuring(line: CommandLine, work: Callable[[], Awaitable[_Found]]) -> _Found:
@@ -228,7 +230,7 @@ async def _configuring(line: CommandLine, work: Callable[[], Awaitable[_Found]])
 
 
 async def _answered(line: CommandLine, mid: Mid, data: bytes = b"") -> bytes:
-    reply = await line.ask(
+    reply = await line.request(
         encode(mid, data),
         lambda message: message if _is_answer(message, mid) else None,
         mid.name.lower().replace("_", " "),

@@ -73,7 +73,7 @@ class MvnDevice(MakersDevice):
     def __init__(self, settings: Any) -> None:
         super().__init__(settings)
         self._character: int = getattr(settings, "character", 0)
-        self._heard: set[int] = set()
+        self._reporting: set[int] = set()
         self._numbers = StreamCounter()
         self._has_poses = False
         self._leader: int | None = None
@@ -83,7 +83,7 @@ class MvnDevice(MakersDevice):
     @property
     def modules(self) -> tuple[int, ...]:
         """Those that were heard."""
-        return tuple(sorted(self._heard))
+        return tuple(sorted(self._reporting))
 
     def readings(
         self, message: Datagram, modules: ModuleTable, chunk: Chunk
@@ -93,8 +93,8 @@ class MvnDevice(MakersDevice):
             self._strange[ANOTHER_CHARACTER] += 1
             return
         self._has_poses |= any(isinstance(item, SegmentPose) for item in message.items)
-        told = self._numbers.number(message.sample, message.time_ms)
-        if told is None:
+        counted = self._numbers.number(message.sample, message.time_ms)
+        if counted is None:
             self._strange[LEAP_IN_NUMBER] += 1
             return
         losses = modules.losses(chunk.link)
@@ -106,31 +106,33 @@ class MvnDevice(MakersDevice):
 
         fused = [(item.segment, item.orientation) for item in message.items if isinstance(item, SegmentPose)]
         for record, q in self._dated([*fused, *_chained(joints).items()], message, modules, chunk):
-            number = record.counter(FusedSample.KIND).count_unwrapped(told, losses)
+            number = record.counter(FusedSample.KIND).count_unwrapped(counted, losses)
             if number is not None:
                 yield FusedReading(record.module, number, self._time_ns, q)
 
         raw = [(item.segment, item) for item in message.items if isinstance(item, Tracker)]
         for record, item in self._dated(raw, message, modules, chunk):
-            number = record.counter(InertialSample.KIND).count_unwrapped(told, losses)
+            number = record.counter(InertialSample.KIND).count_unwrapped(counted, losses)
             if number is not None:
                 field = scaled(item.field, self.settings.field_ut) if any(item.field) else NOT_READ
                 measured = item.specific_force, item.angular_rate, field
                 yield record.module, number, self._time_ns, measured, 0
 
     def _dated(
-        self, told: Sequence[tuple[int, _Reading]], message: Datagram, modules: ModuleTable, chunk: Chunk
+        self, readings: Sequence[tuple[int, _Reading]], message: Datagram, modules: ModuleTable, chunk: Chunk
     ) -> Iterable[tuple[ModuleRecord, _Reading]]:
         """Return the readings of segments with their modules' records; ``_time_ns`` is then the instant."""
-        if not told:
+        if not readings:
             return ()
-        told = sorted(told, key=lambda each: -each[0])  # the pelvis last: it is whom fused frames wait for
-        ids = [self.settings.module + segment for segment, _ in told]
-        self._heard.update(ids)
+        readings = sorted(
+            readings, key=lambda each: -each[0]
+        )  # the pelvis last: it is whom fused frames wait for
+        ids = [self.settings.module + segment for segment, _ in readings]
+        self._reporting.update(ids)
         self._leader = ids[0] if self._leader is None else self._leader
         stamp_us = message.time_ms * 1000 % 2**32
         records, self._time_ns = modules.timed_together(ids, self._leader, stamp_us, chunk)
-        return zip(records, (each for _, each in told), strict=True)
+        return zip(records, (each for _, each in readings), strict=True)
 
 
 class MvnSource(MakersSource):

@@ -133,7 +133,7 @@ class _Tracker:
     """Acceleration comes a quarter turn about z away from orientation."""
     infos: dict[int, SensorInfo] = field(default_factory=dict)
     health: Any = field(default_factory=health)
-    heard_ns: int = 0
+    received_ns: int = 0
 
 
 class SlimevrDevice(MakersDevice):
@@ -152,7 +152,7 @@ class SlimevrDevice(MakersDevice):
         self._replies: deque[tuple[bytes, str]] = deque(maxlen=_MOST_REPLIES)
         self._beaten_ns: dict[str, int] = {}
         self._token = 0
-        self._strangers: dict[str, str] = {}
+        self._unknown_trackers: dict[str, str] = {}
         self._sensors: dict[int | None, UnfusedSensor] = {}
 
     @property
@@ -174,11 +174,9 @@ class SlimevrDevice(MakersDevice):
         tracker = self.trackers.get(chunk.sender) or self._met(chunk)
         if tracker is None:
             return ()
-        before = tracker.decoder.dropped.total()
-        messages = tracker.decoder.feed(chunk.data)
-        self.is_damaged = tracker.decoder.dropped.total() != before
+        messages = self._decoded(tracker.decoder, chunk)
         if messages:
-            tracker.heard_ns = chunk.arrived_ns
+            tracker.received_ns = chunk.arrived_ns
         return messages
 
     def module_of(self, message: Message, chunk: Chunk) -> int | None:
@@ -222,26 +220,27 @@ class SlimevrDevice(MakersDevice):
 
     def due(self, now_ns: int) -> Sequence[tuple[bytes, str]]:
         """Return answers, and heartbeats and pings of those that are heard."""
-        said = list(self._replies)
+        datagrams = list(self._replies)
         self._replies.clear()
         for tracker in self.trackers.values():
-            if now_ns - tracker.heard_ns > FORGOTTEN_S * 1e9:
+            if now_ns - tracker.received_ns > FORGOTTEN_S * 1e9:
                 continue
             if now_ns - self._beaten_ns.get(tracker.sender, 0) >= BEATS_S * 1e9:
                 self._beaten_ns[tracker.sender] = now_ns
-                said.append((wire.encode(Kind.ROTATION), tracker.sender))
-                said.append((wire.ping(self._next_token(tracker)), tracker.sender))
-        return said
+                datagrams.append((wire.encode(Kind.ROTATION), tracker.sender))
+                datagrams.append((wire.ping(self._next_token(tracker)), tracker.sender))
+        return datagrams
 
     def sent(self, chunk: SentChunk) -> None:
         """Note when a ping left."""
+        # A ping is its kind, a number of eight bytes, and the token.
         if chunk.data[:4] == bytes((0, 0, 0, Kind.PING)) and len(chunk.data) == 16:
             token = int.from_bytes(chunk.data[12:], "big")
             self._asked[token % _TOKENS] = token, chunk.sent_ns
 
     def findings(self, rate_hz: float) -> Iterator[Advice]:
         """Yield who has no number, who is silent, and what a tracker's firmware lacks."""
-        for key, firmware in self._strangers.items():
+        for key, firmware in self._unknown_trackers.items():
             yield Advice(
                 f"a tracker {_shown(key)} ({firmware or 'no name'}) has no number",
                 f"write it into the link: trackers: {{'{_shown(key)}': NUMBER}}",
@@ -254,9 +253,8 @@ class SlimevrDevice(MakersDevice):
                     "switch it on, in this machine's network; it stays with whoever answers first: close the "
                     "SlimeVR server",
                 )
-                continue
+                continue  # without orientations nothing else can be said of the tracker
             if found.acceleration is None:
-                # Without orientations nothing else can be said of the tracker.
                 yield Advice(
                     f"tracker {_shown(key)} (module {module}) sends no acceleration: without it joints "
                     "tell little",
@@ -273,8 +271,9 @@ class SlimevrDevice(MakersDevice):
     def has_magnetometer(self, module: int) -> bool | None:
         """Return whether a tracker's magnetometer is on; None: it has none, or has not said so."""
         tracker, sensor = self._of(module)
-        told = None if tracker is None else tracker.infos.get(sensor)
-        return None if told is None or not told.settings & 2 else bool(told.settings & 1)
+        info = None if tracker is None else tracker.infos.get(sensor)
+        # Bit 1 says that there is one, bit 0 that it is on.
+        return None if info is None or not info.settings & 2 else bool(info.settings & 1)
 
     def identity_of(self, module: int) -> tuple[str, str]:
         """Return a tracker's key and firmware."""
@@ -289,8 +288,8 @@ class SlimevrDevice(MakersDevice):
         """Take note that a magnetometer was switched."""
         tracker, sensor = self._of(module)
         if tracker is not None and sensor in tracker.infos:
-            told = tracker.infos[sensor]
-            tracker.infos[sensor] = replace(told, settings=told.settings & ~1 | is_on)
+            info = tracker.infos[sensor]
+            tracker.infos[sensor] = replace(info, settings=info.settings & ~1 | is_on)
 
     def _of(self, module: int) -> tuple[_Tracker | None, int]:
         name = next((key for key, number in self.settings.trackers.items() if number == module), "/0")
@@ -303,13 +302,14 @@ class SlimevrDevice(MakersDevice):
 
     def _met(self, chunk: Chunk) -> _Tracker | None:
         """Return the tracker that speaks for the first time from an address; None: it is not known who."""
-        told = next(iter(SlimevrDecoder().feed(chunk.data)), None)
+        message = next(iter(SlimevrDecoder().feed(chunk.data)), None)
         host = chunk.sender.rpartition(":")[0].strip("[]")
-        if isinstance(told, Handshake):
-            key = told.mac if told.mac in self._keys or host not in self._keys else host
+        if isinstance(message, Handshake):
+            key = message.mac if message.mac in self._keys or host not in self._keys else host
+        # One that is entered by its address is known without a handshake, which came before we listened.
         elif host in self._keys:
             key = host
-        elif isinstance(told, Pong) and (returned := self._key_of(told.token)) is not None:
+        elif isinstance(message, Pong) and (returned := self._key_of(message.token)) is not None:
             key = returned
         else:
             self._strange["before_handshake"] += 1
@@ -317,13 +317,14 @@ class SlimevrDevice(MakersDevice):
         return self._take_on(_Tracker(chunk.sender, key or host))
 
     def _take_on(self, tracker: _Tracker) -> _Tracker | None:
-        if tracker.key not in self._keys and len(self._strangers) < _MOST_TRACKERS:
-            self._strangers[tracker.key] = tracker.firmware
+        if tracker.key not in self._keys and len(self._unknown_trackers) < _MOST_TRACKERS:
+            self._unknown_trackers[tracker.key] = tracker.firmware
         for sender, known in list(self.trackers.items()):
             if known.key == tracker.key:  # it comes from another port now
                 self._forget(sender)
         if len(self.trackers) >= _MOST_TRACKERS:
-            silent = min(self.trackers.values(), key=lambda each: (each.key in self._keys, each.heard_ns))
+            # Those without a number make room first, of each kind the one that is silent longest.
+            silent = min(self.trackers.values(), key=lambda each: (each.key in self._keys, each.received_ns))
             if silent.key in self._keys:
                 self._strange["too_many_trackers"] += 1
                 return None
@@ -333,18 +334,19 @@ class SlimevrDevice(MakersDevice):
 
     def _forget(self, sender: str) -> None:
         gone = self.trackers.pop(sender)
+        # What it counted stays counted: counters in the health message never fall.
         self._gone += gone.decoder.dropped
         self._gone_unused += gone.decoder.unused
         self._beaten_ns.pop(sender, None)
 
-    def _shaken(self, tracker: _Tracker, told: Handshake) -> None:
-        tracker.firmware = told.firmware
-        tracker.has_old_axes = told.version < wire.VERSION
+    def _shaken(self, tracker: _Tracker, sent: Handshake) -> None:
+        tracker.firmware = sent.firmware
+        tracker.has_old_axes = sent.version < wire.VERSION
         tracker.decoder.missed = 0
-        for _, sensor in self._heard_of(tracker):
+        for _, sensor in self._numbered_sensors(tracker):
             sensor.begin()
-        if tracker.key in self._strangers:
-            self._strangers[tracker.key] = told.firmware
+        if tracker.key in self._unknown_trackers:
+            self._unknown_trackers[tracker.key] = sent.firmware
         self._replies.append((wire.GREETING, tracker.sender))
 
     def _rotated(
@@ -373,11 +375,11 @@ class SlimevrDevice(MakersDevice):
             return
         if not tracker.firmware:  # its handshake was before this recording
             tracker.has_old_axes = bool(pong.token & _OLD_ACCELERATION)
-        for _, sensor in self._heard_of(tracker):
+        for _, sensor in self._numbered_sensors(tracker):
             sensor.clock.add_round_trip(chunk.arrived_ns - sent_ns)
 
-    def _note(self, tracker: _Tracker, told: Battery | Signal | Temperature, modules: ModuleTable) -> None:
-        match told:
+    def _note(self, tracker: _Tracker, message: Battery | Signal | Temperature, modules: ModuleTable) -> None:
+        match message:
             case Battery(voltage, share):
                 percent = round(100 * min(share, 1.0))
                 tracker.health = replace(
@@ -387,10 +389,10 @@ class SlimevrDevice(MakersDevice):
                 tracker.health = replace(tracker.health, rssi_dbm=dbm)
             case Temperature(celsius=celsius):
                 tracker.health = replace(tracker.health, temperature_celsius=round(celsius, 2))
-        for module, _ in self._heard_of(tracker):
+        for module, _ in self._numbered_sensors(tracker):
             modules.records[module].health = tracker.health
 
-    def _heard_of(self, tracker: _Tracker) -> Iterator[tuple[int, UnfusedSensor]]:
+    def _numbered_sensors(self, tracker: _Tracker) -> Iterator[tuple[int, UnfusedSensor]]:
         """Yield the sensors of a tracker that have numbers and were heard, with these."""
         for key, module in self.settings.trackers.items():
             if key.partition("/")[0] == tracker.key and module in self._sensors:
@@ -438,7 +440,9 @@ class SlimevrCommands:
         """Wait until it returns a ping, and return what it sent when it was greeted."""
         device = line.device
         assert isinstance(device, SlimevrDevice)
-        await line.ask(wire.ping(0), lambda message: message if isinstance(message, Pong) else None, "ping")
+        await line.request(
+            wire.ping(0), lambda message: message if isinstance(message, Pong) else None, "ping"
+        )
         key, firmware = device.identity_of(line.module)
         return Description(key, "SlimeVR", firmware or None)
 
@@ -467,7 +471,7 @@ class SlimevrCommands:
             if device.has_magnetometer(line.module) is None:
                 raise DeviceError("the tracker says that it has no magnetometer to switch")
             sensor = device.sensor_of(line.module)
-            await line.ask(
+            await line.request(
                 wire.set_setting(sensor, wire.MAGNETOMETER, value),
                 lambda message: message if isinstance(message, SettingDone) else None,
                 name,
@@ -485,11 +489,11 @@ class SlimevrCommands:
 
 
 def _announced(data: bytes) -> Announced | None:
-    told = next(iter(SlimevrDecoder().feed(data)), None)
-    if not isinstance(told, Handshake) or not told.mac:
+    message = next(iter(SlimevrDecoder().feed(data)), None)
+    if not isinstance(message, Handshake) or not message.mac:
         return None
     url = f"udp://0.0.0.0:{wire.PORT}"
-    return Announced("slimevr", "trackers", told.mac, url, entry=("trackers", _shown(told.mac)))
+    return Announced("slimevr", "trackers", message.mac, url, entry=("trackers", _shown(message.mac)))
 
 
 DISCOVERY = Discovery(wire.PORT, _announced)

@@ -52,7 +52,7 @@ class SequenceCounter(Row):
     _first: int
     _shift: int
     _goes_on: int
-    _heard_in: int
+    _received_in: int
 
     def __init__(self, *, memory: Memory | None = None) -> None:
         """Begin without packets; ``memory`` is a zeroed ``SEQUENCE`` where compiled code shares the state."""
@@ -81,11 +81,13 @@ class SequenceCounter(Row):
         if not self._goes_on:
             self._shift = sequence - (self._newest + 1)
             self._goes_on = True
+        # Nearest to the number that is due: one that was overtaken is not taken for one of the next turn.
         return self._take(unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1), link)
 
     def count_unwrapped(self, full: int, link: LinkLosses) -> int | None:
         """Return the same for a number that is unwrapped already."""
         if not self._goes_on:
+            # A new run of the sender may count from below: our numbers never go back.
             begin = max(self._newest, full - 1)
             self._first += begin - self._newest
             self._newest = begin
@@ -96,9 +98,9 @@ class SequenceCounter(Row):
         if full <= self._newest:
             return self._overtaken(full)
         if full > self._newest + 1:
-            self.open_gap(self._newest + 1, full, link.cause_since(self._heard_in))
+            self.open_gap(self._newest + 1, full, link.cause_since(self._received_in))
         self._newest = full
-        self._heard_in = link.chunk
+        self._received_in = link.chunk
         self.received += 1
         return full
 
@@ -204,10 +206,12 @@ class ModuleRecord(Row):
 
     @property
     def received(self) -> int:
+        """Packets that came, of all kinds."""
         return sum(counter.received for counter in self.sequences.values())
 
     @property
     def lost(self) -> int:
+        """Packets that did not come, of all kinds."""
         return sum(counter.lost for counter in self.sequences.values())
 
     @property
@@ -220,6 +224,7 @@ class ModuleRecord(Row):
 
     @property
     def duplicates(self) -> int:
+        """Packets that came more than once, of all kinds."""
         return sum(counter.duplicates for counter in self.sequences.values())
 
     @property

@@ -213,7 +213,7 @@ class Stream:
         )
         if self.triggers is not None:
             packet = received.packet
-            self.triggers.heard(received.module, chunk.link)
+            self.triggers.note_link(received.module, chunk.link)
             if isinstance(packet, InertialSample | InertialSampleFine) and packet.triggered:
                 return self._read_triggered(self.triggers, record, received, chunk)
             # A sample without a trigger is still of use, but its instant is an estimate.

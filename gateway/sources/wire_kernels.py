@@ -294,9 +294,9 @@ def follow(
         if full > near:
             event = events[n_events]
             event.what, event.module, event.kind = GAP, entry.module, entry.kind
-            event.first, event.full, event.heard_in = near, full, counter.heard_in
+            event.first, event.full, event.received_in = near, full, counter.received_in
             n_events += 1
-        counter.newest, counter.heard_in = full, chunk
+        counter.newest, counter.received_in = full, chunk
         counter.received += 1
         module.last_arrival_ns = arrived_ns
         sample = samples[n_samples]

@@ -170,7 +170,7 @@ EVENT = np.dtype(
         ("kind", np.int64),
         ("first", np.int64),
         ("full", np.int64),  # the number that came after the gap
-        ("heard_in", np.int64),  # chunk in which one came before it
+        ("received_in", np.int64),  # chunk in which one came before it
     ]
 )
 """What kernels leave to Python to be noted, in its order."""

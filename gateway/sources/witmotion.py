@@ -199,14 +199,14 @@ class WitMotionCommands:
         steady = {name: value for name, value in values.items() if name not in _ANSWERS_ELSEWHERE}
         # One by one and read back: the device acknowledges nothing.
         for name, value in steady.items():
-            await self._tell(line, REGISTERS_BY_NAME[name].address, value)
+            await self._write_register(line, REGISTERS_BY_NAME[name].address, value)
         after = {name: await self._read_back(line, name) for name in steady}
         if steady:
-            await self._tell(line, *SAVE)
+            await self._write_register(line, *SAVE)
         # Last what changes how the device is reached: after it, the old settings no longer find it.
         for name in values.keys() - steady.keys():
-            await self._tell(line, REGISTERS_BY_NAME[name].address, values[name])
-            await self._tell(line, *SAVE)
+            await self._write_register(line, REGISTERS_BY_NAME[name].address, values[name])
+            await self._write_register(line, *SAVE)
             try:
                 after[name] = await self._read_back(line, name)
             except NoAnswerError as error:
@@ -219,29 +219,29 @@ class WitMotionCommands:
 
     def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[Advice]:
         """Yield what would be better otherwise. rate_hz: of the poses."""
-        told = f"mocap-gateway modules set {module} {{}} --allow-writes"
+        command = f"mocap-gateway modules set {module} {{}} --allow-writes"
         content, hz, baud = settings["content"], settings["rate"], settings["baud"]
         missing = [name for name in _WANTED if name not in content]
         if missing:
             wanted = ",".join(name for name in _CONTENT if name in {*content, *missing})
             what = " and no ".join(name.replace("_", " ") for name in missing)
-            yield Advice(f"sends no {what}", told.format(f"content={wanted}"))
+            yield Advice(f"sends no {what}", command.format(f"content={wanted}"))
         if hz < LEAST_RATE_SHARE * rate_hz:
             enough = min((each for each in _RATE_OF if each >= rate_hz), default=max(_RATE_OF))
             yield Advice(
-                f"sends {hz:g} samples a second for {rate_hz:g} poses", told.format(f"rate={enough:g}")
+                f"sends {hz:g} samples a second for {rate_hz:g} poses", command.format(f"rate={enough:g}")
             )
         load = hz * self._packet_bits * len(content) / baud
         if load > _COMFORTABLE:
             least = ",".join(name for name in _CONTENT if name in {*_WANTED} & {*content} | {*missing})
             yield Advice(
                 f"{len(content)} packets × {hz:g} Hz take {load:.0%} of {baud:,} bit/s: some are never sent",
-                f"{told.format(f'content={least}')}; or a faster line: baud=, then the same in url",
+                f"{command.format(f'content={least}')}; or a faster line: baud=, then the same in url",
             )
 
-    async def _tell(self, line: CommandLine, register: int, value: int) -> None:
-        await line.tell(encode_write(*UNLOCK))
-        await line.tell(encode_write(register, value))
+    async def _write_register(self, line: CommandLine, register: int, value: int) -> None:
+        await line.send(encode_write(*UNLOCK))
+        await line.send(encode_write(register, value))
 
     async def _read_back(self, line: CommandLine, name: str) -> Any:
         value = await _read(line, REGISTERS_BY_NAME[name].address)
@@ -285,7 +285,7 @@ class WitMotionCanCommands(WitMotionCommands):
 
 
 async def _read(line: CommandLine, register: int) -> int:
-    found = await line.ask(
+    found = await line.request(
         encode_write(READ_ADDRESS, register),
         lambda message: message if isinstance(message, Values) else None,
         f"register 0x{register:02X}",

@@ -112,15 +112,15 @@ class Ximu3Device(MakersDevice):
             return
 
         if isinstance(message, Battery):
-            told: Mapping[str, Any] = {
+            values: Mapping[str, Any] = {
                 "battery_percent": round(message.percent),
                 "battery_voltage": round(message.voltage, 3),
             }
         elif isinstance(message, Radio):
-            told = {"rssi_dbm": round(message.power_dbm)}
+            values = {"rssi_dbm": round(message.power_dbm)}
         else:
-            told = {"temperature_celsius": round(message.celsius, 2)}
-        self._health = record.health = replace(self._health, **told)
+            values = {"temperature_celsius": round(message.celsius, 2)}
+        self._health = record.health = replace(self._health, **values)
 
 
 class Ximu3Source(MakersSource):
@@ -136,7 +136,7 @@ class Ximu3Commands:
 
     async def describe(self, line: CommandLine) -> Description:
         """Ask who it is."""
-        return await line.ask(encode_command("ping"), _described, "ping")
+        return await line.request(encode_command("ping"), _described, "ping")
 
     async def identify(self, line: CommandLine, seconds: int) -> None:
         """Flash its light for five seconds, however many are asked for: the device knows no other."""
@@ -164,32 +164,32 @@ class Ximu3Commands:
     def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[Advice]:
         """Yield what would be better otherwise. rate_hz: of the poses."""
         divisor = settings.get(_RATE_SETTING)
-        told = f"mocap-gateway modules set {module} {{}} --allow-writes"
+        command = f"mocap-gateway modules set {module} {{}} --allow-writes"
         if divisor is not None and (not divisor or INERTIAL_HZ / divisor < LEAST_RATE_SHARE * rate_hz):
             sent_hz = INERTIAL_HZ / divisor if divisor else 0
             wanted = max(1, int(INERTIAL_HZ // rate_hz))
             yield Advice(
                 f"sends {sent_hz:g} inertial messages a second for {rate_hz:g} poses",
-                told.format(f"{_RATE_SETTING}={wanted}"),
+                command.format(f"{_RATE_SETTING}={wanted}"),
             )
         if settings.get("magnetometer_message_rate_divisor") == 0:
             yield Advice(
                 "its magnetometer is off: headings are held by joints alone",
-                told.format("magnetometer_message_rate_divisor=1"),
+                command.format("magnetometer_message_rate_divisor=1"),
             )
         if settings.get("binary_mode_enabled") is False:
             yield Advice(
-                "sends text, which takes three times the bytes", told.format("binary_mode_enabled=true")
+                "sends text, which takes three times the bytes", command.format("binary_mode_enabled=true")
             )
         if settings.get("ahrs_message_rate_divisor"):
             yield Advice(
                 "sends orientations of its own, which nothing is made from",
-                told.format("ahrs_message_rate_divisor=0"),
+                command.format("ahrs_message_rate_divisor=0"),
             )
 
 
 async def _answered(line: CommandLine, key: str, value: object) -> Any:
-    answer = await line.ask(
+    answer = await line.request(
         encode_command(key, value),
         lambda message: message if isinstance(message, Answer) and message.key in (key, "error") else None,
         key,
@@ -202,22 +202,28 @@ async def _answered(line: CommandLine, key: str, value: object) -> Any:
 
 def _described(message: object) -> Description | None:
     """Return who answers a ping; None for anything else."""
-    told = message.value if isinstance(message, Answer) and message.key == "ping" else None
-    serial = str(told.get("sn", told.get("serialNumber"))) if isinstance(told, dict) else ""
+    identity = message.value if isinstance(message, Answer) and message.key == "ping" else None
+    serial = str(identity.get("sn", identity.get("serialNumber"))) if isinstance(identity, dict) else ""
     if not re.fullmatch(r"([0-9A-Fa-f]{2}){1,12}", serial):
         return None
-    assert isinstance(told, dict)
-    return Description(serial.lower(), str(told.get("name", told.get("deviceName", "")))[:64])
+    assert isinstance(identity, dict)
+    return Description(serial.lower(), str(identity.get("name", identity.get("deviceName", "")))[:64])
 
 
 def _announced(data: bytes) -> Announced | None:
-    told = read_announcement(data)
-    if told is None:
+    announced = read_announcement(data)
+    if announced is None:
         return None
-    more = {} if told.receive_port == COMMAND_PORT else {"command_port": told.receive_port}
-    url = f"udp://0.0.0.0:{told.send_port}?peers={told.address}"
+    more = {} if announced.receive_port == COMMAND_PORT else {"command_port": announced.receive_port}
+    url = f"udp://0.0.0.0:{announced.send_port}?peers={announced.address}"
     return Announced(
-        "ximu3", told.name, told.serial_number.lower(), url, more, told.battery_percent, told.rssi_percent
+        "ximu3",
+        announced.name,
+        announced.serial_number.lower(),
+        url,
+        more,
+        announced.battery_percent,
+        announced.rssi_percent,
     )
 
 

@@ -42,7 +42,7 @@ end."""
 
 MOST_MODULES = 256
 """An id has one byte."""
-_UNHEARD = -1
+_NEVER_SEEN = -1
 
 _AXIS = np.dtype(
     [
@@ -87,7 +87,7 @@ class RangeWatch:
     def __init__(self, ranges: Mapping[int, SensorRanges]) -> None:
         """Watch modules for clipping; ``ranges`` are those that the rig states, by module id."""
         self._ranges = ranges
-        self._rows = np.full(MOST_MODULES, _UNHEARD, np.int64)  # of ``_watched``, by module id
+        self._rows = np.full(MOST_MODULES, _NEVER_SEEN, np.int64)  # of ``_watched``, by module id
         self._watched = np.zeros(0, _WATCHED)
         nothing = np.zeros(0, INERTIAL_SAMPLE), self._rows, self._watched, np.zeros(0, np.uint8)
         self._watch = for_types_of(_watch, *nothing)
@@ -109,7 +109,7 @@ class RangeWatch:
     def found(self) -> dict[int, dict[str, FoundRange]]:
         """Return where sensors have been clipped, by module and sensor."""
         result: dict[int, dict[str, FoundRange]] = {}
-        for module in np.flatnonzero(self._rows != _UNHEARD).tolist():
+        for module in np.flatnonzero(self._rows != _NEVER_SEEN).tolist():
             row = self._rows[module]
             for sensor, name in ((SPECIFIC_FORCE, "specific_force"), (ANGULAR_RATE, "angular_rate")):
                 count = int(self._watched["clipped"][row, sensor])
@@ -121,16 +121,16 @@ class RangeWatch:
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Return clipped samples and the limits found, m/s² and °/s, by module, for the health message."""
-        told: dict[str, dict[str, float]] = {}
+        figures: dict[str, dict[str, float]] = {}
         for module, sensors in self.found().items():
-            values = told.setdefault(str(module), {})
+            values = figures.setdefault(str(module), {})
             for name, each in sensors.items():
                 is_rate = name == "angular_rate"
                 limit = math.degrees(each.limit) if is_rate else each.limit
                 values[f"{name}_samples"] = each.samples
                 if math.isfinite(limit):
                     values["angular_rate_dps" if is_rate else "specific_force_ms2"] = round(limit, 2)
-        return told
+        return figures
 
     def _begin(self, module: int) -> None:
         """Make room for a module that has not been heard before."""
@@ -153,7 +153,7 @@ def _watch(
     Return how many samples have some; of a module without a row −1 − its id, and nothing is changed."""
     for index in range(len(samples)):
         # Before anything is changed, as the caller makes a row and begins again.
-        if rows[samples[index].module] == _UNHEARD:
+        if rows[samples[index].module] == _NEVER_SEEN:
             return -1 - int(samples[index].module)
     found = 0
     for index in range(len(samples)):

@@ -128,7 +128,7 @@ class FrameAssembler:
             )  # fmt: skip
             self.taken += taken
             if lost:
-                self._tell_lost()
+                self._count_lost()
             if self._used > begin:
                 frames += self._frames(begin)
             if index == len(samples):
@@ -144,7 +144,7 @@ class FrameAssembler:
             self._passed = np.concatenate((in_order, np.zeros_like(in_order)))
             self._grid["passed_begin"] = 0
 
-    def _tell_lost(self) -> None:
+    def _count_lost(self) -> None:
         """Add to the counters what the kernel has counted since the last time."""
         for reason in _COUNTED:
             count = int(self._grid[reason.name.lower()][0])

@@ -32,7 +32,7 @@ GRID = np.dtype(
         ("hold_ns", np.int64),
         ("start_wait_ns", np.int64),
         ("newest_ns", np.int64),  # of all modules; -1: none yet
-        ("n_heard", np.int64),  # modules that have been heard
+        ("n_reporting", np.int64),  # modules that have been heard
         ("n_awaited", np.int64),  # modules that the next instant waits for
         ("row", np.int64),  # of the module whose sample came last
         ("first_arrival_ns", np.int64),
@@ -172,7 +172,7 @@ def _store(grid: Any, modules: NDArray[np.void], ring: NDArray[np.void], row: in
     """Keep a sample of a module in its ring (DEPTH,); returns whether it was of use."""
     module = modules[row]
     if module.newest_ns < 0:
-        grid.n_heard += 1
+        grid.n_reporting += 1
     elif sample.time_ns <= module.newest_ns:
         return _insert_late(grid, module, ring, sample)
     module.head = (module.head + 1) % DEPTH
@@ -235,7 +235,7 @@ def _note_arrival(grid: Any, modules: NDArray[np.void], passed: NDArray[np.void]
 def _begin(grid: Any, modules: NDArray[np.void], passed: NDArray[np.void], arrived_ns: int) -> bool:
     """Begin the grid at the instant from which all modules (heard so far) have samples."""
     is_patient = arrived_ns - grid.first_arrival_ns < grid.start_wait_ns
-    if grid.n_heard != len(modules) and is_patient:
+    if grid.n_reporting != len(modules) and is_patient:
         return False
     grid.start_ns, grid.has_begun = grid.newest_ns, True
     _advance(grid, modules, passed, 0)

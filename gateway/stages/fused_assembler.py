@@ -92,10 +92,10 @@ class FusedAssembler:
 
     def _is_reference_silent(self, now_us: float) -> bool:
         """Return whether it has said nothing for so long, at an instant when another module spoke."""
-        heard = self._newest.get(self.reference)
-        if heard is None:
+        newest = self._newest.get(self.reference)
+        if newest is None:
             return now_us * 1e3 > self._params.start_wait_ns
-        return (now_us - heard.time_us) * 1e3 > self._params.hold_ns
+        return (now_us - newest.time_us) * 1e3 > self._params.hold_ns
 
     def _frame(self, found: dict[int, Datum]) -> ImuFrame:
         assert self._start_ns is not None

@@ -39,7 +39,7 @@ from gateway.reconstruction import (
 )
 from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.reconstruction.whole_body import WholeBodyReconstructor
-from gateway.reconstruction.whole_body_frames import tell_doubtful
+from gateway.reconstruction.whole_body_frames import mark_doubtful
 from gateway.sources.light import SunCompass
 from gateway.sources.registry import NO_MARKERS
 from gateway.stages.clipping import RangeWatch
@@ -199,7 +199,7 @@ class ModuleStage:
         if restless is None:
             return pose
         status, sigma = np.array(pose.status), np.array(pose.sigma)
-        tell_doubtful(status, sigma, restless)
+        mark_doubtful(status, sigma, restless)
         return replace(pose, status=status, sigma=sigma)
 
 

@@ -25,11 +25,11 @@ class Crowd(Generic[_Visitor]):
         self._most = most
         self._most_of_one = most_of_one
         self._silent: dict[_Visitor, str] = {}  # the oldest first
-        self._speaking: dict[_Visitor, str] = {}
+        self._active: dict[_Visitor, str] = {}
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
-        return len(self._silent) + len(self._speaking)
+        return len(self._silent) + len(self._active)
 
     def enter(self, visitor: _Visitor, address: str) -> _Visitor | None:
         """Take a connection in. Returns the one to hang up on for it, if it took the place of one.
@@ -49,7 +49,7 @@ class Crowd(Generic[_Visitor]):
             self._silent[visitor] = address
             return displaced
 
-    def speak(self, visitor: _Visitor) -> None:
+    def note_request(self, visitor: _Visitor) -> None:
         """Note that a connection's request is whole.
 
         Raises ``CrowdedError`` if its address has too many already.
@@ -58,12 +58,12 @@ class Crowd(Generic[_Visitor]):
             address = self._silent.pop(visitor, None)
             if address is None:
                 return  # it was hung up on
-            if Counter(self._speaking.values())[address] >= self._most_of_one:
+            if Counter(self._active.values())[address] >= self._most_of_one:
                 raise CrowdedError
-            self._speaking[visitor] = address
+            self._active[visitor] = address
 
     def leave(self, visitor: _Visitor) -> None:
         """Note that a connection has ended."""
         with self._lock:
             self._silent.pop(visitor, None)
-            self._speaking.pop(visitor, None)
+            self._active.pop(visitor, None)

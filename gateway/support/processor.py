@@ -82,14 +82,15 @@ def target_name(environment: Mapping[str, str] = os.environ) -> str:
     return environment.get(CPU_NAME) or NATIVE
 
 
+_FLAGS = ("flags", "Features")
+"""What the line of a processor's instructions is called, on x86-64 and on arm64."""
+
+
 def processor_flags(cpuinfo: Path) -> frozenset[str]:
     """Return what the first processor says it has; nothing where it cannot be read."""
     try:
-        with cpuinfo.open(errors="replace") as lines:
-            for line in lines:
-                name, _, flags = line.partition(":")
-                if name.strip() in ("flags", "Features"):
-                    return frozenset(flags.split())
-    except OSError:
-        pass  # systems other than Linux have no such file
-    return frozenset()
+        lines = cpuinfo.read_text(errors="replace").splitlines()
+    except OSError:  # other systems have no such file, and a sandbox may hide it
+        return frozenset()
+    named = (line.partition(":") for line in lines)
+    return next((frozenset(flags.split()) for name, _, flags in named if name.strip() in _FLAGS), frozenset())

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.viewer.texts import ENGLISH, say, segment_name
+from gateway.viewer.texts import ENGLISH, segment_name, translated
 
 Colour = tuple[int, int, int]
 
@@ -86,26 +86,28 @@ def status_summary(statuses: Mapping[str, str], silent: Sequence[str], language:
     """Return how many segments have which status: ``16 measured, 1 missing; no data of head``."""
     counts = Counter(statuses.values())
     if counts["measured"] == len(statuses):
-        return say(language, "all_measured", count=len(statuses))
-    counted = ", ".join(f"{counts[kind]} {say(language, f'is_{kind}')}" for kind in COLOURS if counts[kind])
+        return translated(language, "all_measured", count=len(statuses))
+    counted = ", ".join(
+        f"{counts[kind]} {translated(language, f'is_{kind}')}" for kind in COLOURS if counts[kind]
+    )
     if not silent:
         return counted
     named = ", ".join(segment_name(language, name) for name in silent[:MOST_NAMED])
     more = ", …" if len(silent) > MOST_NAMED else ""
-    return f"{counted}; {say(language, 'no_data_of', segments=named + more)}"
+    return f"{counted}; {translated(language, 'no_data_of', segments=named + more)}"
 
 
 def legend(language: str = ENGLISH) -> str:
     """Return what the colours mean, as HTML."""
-    meanings = [(say(language, f"is_{name}"), colour) for name, colour in COLOURS.items()]
+    meanings = [(translated(language, f"is_{name}"), colour) for name, colour in COLOURS.items()]
     # Measured segments have a colour by side, and fade with their uncertainty.
     meanings[:1] = [
-        (say(language, "side_left"), SIDE_COLOURS["left"]),
-        (say(language, "side_right"), SIDE_COLOURS["right"]),
-        (say(language, "side_trunk"), SIDE_COLOURS["trunk"]),
-        (say(language, "sigma_over", deg=f"{UNSURE_DEG:g}"), UNSURE),
+        (translated(language, "side_left"), SIDE_COLOURS["left"]),
+        (translated(language, "side_right"), SIDE_COLOURS["right"]),
+        (translated(language, "side_trunk"), SIDE_COLOURS["trunk"]),
+        (translated(language, "sigma_over", deg=f"{UNSURE_DEG:g}"), UNSURE),
     ]
-    meanings.append((say(language, "is_stale"), STALE))
+    meanings.append((translated(language, "is_stale"), STALE))
     return chips(meanings)
 
 

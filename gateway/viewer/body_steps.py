@@ -15,7 +15,7 @@ import viser
 from gateway.errors import GatewayError
 from gateway.viewer.step_pictures import step_picture
 from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, set_options, table
-from gateway.viewer.texts import say, segment_name, step_name, texts
+from gateway.viewer.texts import segment_name, step_name, texts, translated
 
 COUNTDOWN_S, LOOK_S = 3.0, 0.4
 USUAL_HEIGHT_M = 1.75
@@ -45,22 +45,22 @@ class BodySteps(StepTab):
 
     def look(self) -> None:
         """Find out how tall the wearer is said to be: another body is shown."""
-        self._errands.start(self._take_measures, lambda _said: None)
+        self._errands.start(self._take_measures, lambda _text: None)
 
     def _add_parts(self) -> list[Any]:
         gui = self._server.gui
         chosen = step_name(self._language, self._at) if self._at in self._steps else None
         height_m = self._measures["subject"].get("height_m", USUAL_HEIGHT_M)
-        why = gui.add_html(line(self._say("measures_why")))
-        self._height = gui.add_number(self._say("height"), height_m, min=0.5, max=2.5, step=0.01)
-        self._length = gui.add_dropdown(self._say("length"), (NOTHING, *self._limbs()))
-        self._metres = gui.add_number(self._say("metres"), 0.0, min=0.0, max=1.99, step=0.005)
+        why = gui.add_html(line(self._translated("measures_why")))
+        self._height = gui.add_number(self._translated("height"), height_m, min=0.5, max=2.5, step=0.01)
+        self._length = gui.add_dropdown(self._translated("length"), (NOTHING, *self._limbs()))
+        self._metres = gui.add_number(self._translated("metres"), 0.0, min=0.0, max=1.99, step=0.005)
         self._length.on_update(lambda _: self._show_length())
         measure = self._button("measure", self._measure)
         begin, resume = self._button("begin", self._begin), self._button("resume", self._resume)
 
         self._before = [why, self._height, self._length, self._metres, measure, begin]
-        self._step = gui.add_dropdown(self._say("step"), self._step_names(), initial_value=chosen)
+        self._step = gui.add_dropdown(self._translated("step"), self._step_names(), initial_value=chosen)
         self._step.on_update(lambda _: self._show_picture())
         do = self._button("do", self._do)
         self._picture = gui.add_html("")
@@ -92,8 +92,8 @@ class BodySteps(StepTab):
 
     def _show_picture(self) -> None:
         step = self._at = self._chosen()
-        told = instruction_of(step, self._steps.get(step, ""), self._language)
-        self._picture.content = step_picture(step, told) + (line(told) if told else "")
+        instruction = instruction_of(step, self._steps.get(step, ""), self._language)
+        self._picture.content = step_picture(step, instruction) + (line(instruction) if instruction else "")
 
     def _limbs(self) -> dict[str, str]:
         """Return limbs whose lengths can be entered, by their names in the page's language."""
@@ -122,7 +122,7 @@ class BodySteps(StepTab):
         limb, metres = self._limbs().get(self._length.value), float(self._metres.value)
         is_changed = metres > 0.0 and metres != self._measures["lengths"].get(limb, metres)
         data = {"height_m": float(self._height.value), "lengths": {limb: metres} if is_changed else {}}
-        self._tell(self._say("measuring"))
+        self._show_text(self._translated("measuring"))
         kept = await self._ask("calibration", "measure", data)
         self._measures = kept
         for _ in range(_MOST_LOOKS):  # whoever has answered makes room for one with the new body
@@ -131,17 +131,17 @@ class BodySteps(StepTab):
                 self._measures = await self._ask("calibration", "measure", {})
                 break
         self._show_measures()
-        return self._say("measured", height=f"{self._height.value:.2f}", file=kept["file"])
+        return self._translated("measured", height=f"{self._height.value:.2f}", file=kept["file"])
 
     async def _begin(self) -> str:
         self._take_steps((await self._ask("calibration", "begin", {}))["steps"])
-        return self._say("begun", count=len(self._steps))
+        return self._translated("begun", count=len(self._steps))
 
     async def _resume(self) -> str:
         """Go on with what was begun on another page, in the terminal, or before this page was closed."""
         status = await self._ask("calibration", "status", {})
         if status["phase"] == "idle":
-            return self._say("nothing_begun", begin=self._say("begin"))
+            return self._translated("nothing_begun", begin=self._translated("begin"))
         self._take_steps(status["steps"])
         return self._next_of(status)
 
@@ -159,44 +159,44 @@ class BodySteps(StepTab):
         if left:
             self._step.value = step_name(self._language, left[0])  # type: ignore[misc]  # as in Playback
         names = [step_name(self._language, step) for step in done]
-        return self._say("done", steps=", ".join(names) or NOTHING)
+        return self._translated("done", steps=", ".join(names) or NOTHING)
 
     async def _do(self) -> str:
         if not (step := self._chosen()):
-            return self._say("nothing_begun", begin=self._say("begin"))
+            return self._translated("nothing_begun", begin=self._translated("begin"))
         await self._ask("calibration", "step", {"step": step, "countdown_s": COUNTDOWN_S})
         instruction = instruction_of(step, self._steps[step], self._language)
         while (status := await self._ask("calibration", "status", {}))["phase"] not in ("ready", "idle"):
-            self._tell(progress(status, instruction, self._language))
+            self._show_text(progress(status, instruction, self._language))
             await asyncio.sleep(LOOK_S)
         if status["phase"] == "idle":  # given up elsewhere, or the gateway began anew
             self._take_steps(())
-            return self._say("nothing_begun", begin=self._say("begin"))
+            return self._translated("nothing_begun", begin=self._translated("begin"))
         return self._next_of(status)
 
     async def _find(self) -> str:
-        self._tell(self._say("works"))
+        self._show_text(self._translated("works"))
         self._result = await self._ask("calibration", "result", {})
         self._table.content = result_table(self._result, self._language)
         self._offer()
         modules = self._result["modules"]
         good = sum(one["quality"] == "good" for one in modules)
-        return self._say("scored", good=good, count=len(modules))
+        return self._translated("scored", good=good, count=len(modules))
 
     async def _end(self) -> str:
         await self._ask("calibration", "cancel", {})
         self._take_steps(())
-        return self._say("given_up")
+        return self._translated("given_up")
 
     async def _accept(self) -> str:
         answer = await self._ask("calibration", "accept", {"save": True})
         self._take_steps(())
-        return self._say("accepted", count=len(answer["accepted"]), file=answer["file"])
+        return self._translated("accepted", count=len(answer["accepted"]), file=answer["file"])
 
 
-def instruction_of(step: str, told: str, language: str) -> str:
+def instruction_of(step: str, fallback: str, language: str) -> str:
     """Return what the wearer is to do, in a language; the gateway's own words if there is no translation."""
-    return texts(language).get(f"step_{step}", told)
+    return texts(language).get(f"step_{step}", fallback)
 
 
 def progress(status: Mapping[str, Any], instruction: str, language: str) -> str:
@@ -205,14 +205,14 @@ def progress(status: Mapping[str, Any], instruction: str, language: str) -> str:
     status: answer of ``calibration/status``.
     """
     is_recording = status["phase"].startswith("recording")
-    parts = [say(language, "records" if is_recording else "ready_in", instruction=instruction,
+    parts = [translated(language, "records" if is_recording else "ready_in", instruction=instruction,
                  left=f"{status['left_s']:.0f}")]  # fmt: skip
-    unheard = _named(status, lambda one: not one["heard"], language)
+    silent = _named(status, lambda one: not one["heard"], language)
     moving = _named(status, lambda one: one["heard"] and not one["still"], language)
-    if unheard:
-        parts.append(say(language, "unheard", segments=unheard))
+    if silent:
+        parts.append(translated(language, "unheard", segments=silent))
     if moving and status["phase"].endswith("_pose"):
-        parts.append(say(language, "moves", segments=moving))
+        parts.append(translated(language, "moves", segments=moving))
     return " · ".join(parts)
 
 
@@ -222,7 +222,7 @@ def _named(status: Mapping[str, Any], is_meant: Callable[[Mapping[str, Any]], bo
 
 def result_table(result: Mapping[str, Any], language: str) -> str:
     """Return a score for each module with its reasons, as HTML."""
-    head = [say(language, key) for key in ("module", "segment", "score", "why")]
+    head = [translated(language, key) for key in ("module", "segment", "score", "why")]
     return table(
         head, ((COLOURS.get(one["quality"], "inherit"), _cells(one, language)) for one in result["modules"])
     )

@@ -60,8 +60,8 @@ class CheckTab(StepTab):
     def _add_parts(self) -> list[Any]:
         gui = self._server.gui
         all_of_them = self._button("check_all", self._do_all)
-        names = tuple(self._say(f"move_{movement.name}") for movement in MOVEMENTS)
-        self._movement = gui.add_dropdown(self._say("movement"), names, initial_value=names[self._at])
+        names = tuple(self._translated(f"move_{movement.name}") for movement in MOVEMENTS)
+        self._movement = gui.add_dropdown(self._translated("movement"), names, initial_value=names[self._at])
         self._movement.on_update(lambda _: self._show_picture(self._chosen()))
         self._picture = gui.add_html("")
         self._show_picture(self._chosen())
@@ -75,8 +75,8 @@ class CheckTab(StepTab):
         return MOVEMENTS[self._movement.options.index(self._movement.value)]
 
     def _show_picture(self, movement: Movement) -> None:
-        told = self._say(f"do_{movement.name}")
-        self._picture.content = step_picture(f"move_{movement.name}", told) + line(told)
+        instruction = self._translated(f"do_{movement.name}")
+        self._picture.content = step_picture(f"move_{movement.name}", instruction) + line(instruction)
         self._at = MOVEMENTS.index(movement)
 
     def _table_html(self) -> str:
@@ -84,16 +84,16 @@ class CheckTab(StepTab):
             (
                 GOOD if seen.verdict == Verdict.FOLLOWS else POOR,
                 (
-                    self._say(f"move_{name}"),
+                    self._translated(f"move_{name}"),
                     segment_name(self._language, seen.segment),
-                    self._say(f"verdict_{seen.verdict.value}"),
+                    self._translated(f"verdict_{seen.verdict.value}"),
                 ),
             )
             for name, found in self._found.items()
             for seen in found
         ]
         return (
-            table([self._say(key) for key in ("movement", "segment", "result_of_check")], rows)
+            table([self._translated(key) for key in ("movement", "segment", "result_of_check")], rows)
             if rows
             else ""
         )
@@ -111,25 +111,25 @@ class CheckTab(StepTab):
     async def _clear(self) -> str:
         self._found.clear()
         self._table.content, self._clear_button.visible = "", False
-        return self._say("check_cleared")
+        return self._translated("check_cleared")
 
     async def _do(self, movement: Movement) -> None:
         """Show what to do, count down, watch, and show how it went."""
         if self._is_busy:
-            raise GatewayError(self._say("check_busy"))
+            raise GatewayError(self._translated("check_busy"))
         check = MovementCheck(movement, tuple(self._worn()))
         if not check.seen():
             return  # nothing of it is worn
         self._is_busy = True
-        self._movement.value = self._say(f"move_{movement.name}")  # type: ignore[misc]  # as in Playback
-        instruction = self._say(f"do_{movement.name}")
+        self._movement.value = self._translated(f"move_{movement.name}")  # type: ignore[misc]  # as in Playback
+        instruction = self._translated(f"do_{movement.name}")
         try:
             for left in range(READY_S, 0, -1):
-                self._tell(self._say("ready_in", instruction=instruction, left=left))
+                self._show_text(self._translated("ready_in", instruction=instruction, left=left))
                 await asyncio.sleep(1.0)
             self._watching = check
             for left in range(round(WATCHED_S), 0, -1):
-                self._tell(self._say("records", instruction=instruction, left=left))
+                self._show_text(self._translated("records", instruction=instruction, left=left))
                 await asyncio.sleep(1.0)
         finally:
             self._watching, self._is_busy = None, False
@@ -139,7 +139,7 @@ class CheckTab(StepTab):
     def _summary(self) -> str:
         every = [seen for found in self._found.values() for seen in found]
         if not every:
-            return self._say("check_nothing")
+            return self._translated("check_nothing")
         good = sum(seen.verdict == Verdict.FOLLOWS for seen in every)
         key = "check_good" if good == len(every) else "check_bad"
-        return self._say(key, good=good, count=len(every))
+        return self._translated(key, good=good, count=len(every))

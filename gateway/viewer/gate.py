@@ -278,7 +278,7 @@ class Gate:
         request = Request(head)
         client = asyncio.current_task()
         assert client is not None
-        self._crowd.speak(client)
+        self._crowd.note_request(client)
         inner_port = self._inner_ports[self._door.admit(request)]
         if inner_port is None:
             raise Refused("403 Forbidden", "there is no page to only look at here")

@@ -11,7 +11,7 @@ from gateway.recording import SkeletonArrays
 from gateway.viewer.posture import Posture, PostureKeeper
 from gateway.viewer.replaying import RecordedPoses
 from gateway.viewer.stage import Stage
-from gateway.viewer.texts import ENGLISH, say
+from gateway.viewer.texts import ENGLISH, translated
 
 COLOUR = (120, 170, 235)
 OPACITY = 0.45
@@ -53,13 +53,13 @@ class Ghost:
             cast_shadow=False,
             receive_shadow=False,
         )
-        self._is_wanted = server.gui.add_checkbox(say(ENGLISH, "compared"), initial_value=True)
-        self._is_apart = server.gui.add_checkbox(say(ENGLISH, "compared_apart"), initial_value=False)
+        self._is_wanted = server.gui.add_checkbox(translated(ENGLISH, "compared"), initial_value=True)
+        self._is_apart = server.gui.add_checkbox(translated(ENGLISH, "compared_apart"), initial_value=False)
 
-    def speak(self, language: str) -> None:
+    def set_language(self, language: str) -> None:
         """Say everything in that language from now on."""
-        self._is_wanted.label = say(language, "compared")
-        self._is_apart.label = say(language, "compared_apart")
+        self._is_wanted.label = translated(language, "compared")
+        self._is_apart.label = translated(language, "compared_apart")
 
     def draw(self, time_s: float, beside: Posture) -> None:
         """Show it at a time of the recording on the page, s; hidden where its own recording has nothing.

@@ -108,8 +108,8 @@ class LiveViewer:
         self._instant: MarkerInstant | None = None
 
         self._panel = Panel(server, self._buttons() if may_write else (), self._stage)
-        self._panel.on_language(self._markers.speak)
-        self._panel.on_language(self._speak_of_muscles)
+        self._panel.on_language(self._markers.set_language)
+        self._panel.on_language(self._label_muscles)
 
         self._losses = RecentLosses()
         self._recording = RecordingStatus()
@@ -136,7 +136,7 @@ class LiveViewer:
         takes = TakesTab(server, tabs, ask, loop, self._replay)
         self._assistant.leads(sensors, body, self._check, takes)
         self._body_steps = body
-        self._panel.on_language(self._assistant.speak)
+        self._panel.on_language(self._assistant.set_language)
 
     async def run(self, waits: bool = False) -> None:
         """Show poses for ever.
@@ -149,7 +149,7 @@ class LiveViewer:
             except BrokerUnreachableError as error:
                 if not waits:
                     raise
-                self._panel.show_status(self._panel.say("no_broker"), str(error), is_alarm=True)
+                self._panel.show_status(self._panel.translated("no_broker"), str(error), is_alarm=True)
             await asyncio.sleep(RETRY_S)
 
     async def _show(self) -> None:
@@ -213,14 +213,14 @@ class LiveViewer:
         # A body without muscles of its own still is worth showing: the page says why they are missing.
         try:
             self._wires = muscle_wires(self._server, self._stage, skeleton, self._muscles_kg)
-            self._speak_of_muscles(self._panel.language)
+            self._label_muscles(self._panel.language)
         except GatewayError as error:  # the page shows the body nonetheless
             self._wires = None
             self._panel.show_answer(str(error))
 
-    def _speak_of_muscles(self, language: str) -> None:
+    def _label_muscles(self, language: str) -> None:
         if self._wires is not None:
-            self._wires.speak(language)
+            self._wires.set_language(language)
 
     def _draw(self, markers: MarkersMessage | None) -> None:
         if self._replayed is not None:
@@ -311,7 +311,7 @@ class LiveViewer:
 
     def _show_headline(self, poses: PoseSubscriber) -> None:
         """Show what comes, or why nothing comes."""
-        panel, say, now_ns = self._panel, self._panel.say, gateway_time_ns()
+        panel, translated, now_ns = self._panel, self._panel.translated, gateway_time_ns()
         name = self._name(poses)
         age = self._view.age_s(now_ns)
         comes = age is not None and age <= STALE_AFTER_S
@@ -321,41 +321,43 @@ class LiveViewer:
         is_compiling = awaited is not None and poses.states.get(self._gateway) == "online"
         # In order of importance: of several causes, the first is the one to act on.
         if self._replayed is not None:
-            told = self._replayed.text(self._loop.time(), panel.language)
-            panel.show_status(say("replay_of", name=self._replayed.name), told, is_alarm=False)
+            position = self._replayed.text(self._loop.time(), panel.language)
+            panel.show_status(translated("replay_of", name=self._replayed.name), position, is_alarm=False)
         elif not poses.is_connected:
-            panel.show_status(say("no_broker"), say("gets_it_back"), is_alarm=True)
+            panel.show_status(translated("no_broker"), translated("gets_it_back"), is_alarm=True)
         elif is_compiling:
             lines = self._pose_texts() if comes else ()
-            panel.show_status(name, say("compiling", name=awaited), *lines, is_alarm=False, is_busy=True)
+            panel.show_status(
+                name, translated("compiling", name=awaited), *lines, is_alarm=False, is_busy=True
+            )
         elif age is None:
-            begin = () if self._assistant is None else (say("begin_here", tab=say("tab")),)
-            panel.show_status(say("no_data"), say("no_pose", name=name), *begin, is_alarm=True)
+            begin = () if self._assistant is None else (translated("begin_here", tab=translated("tab")),)
+            panel.show_status(translated("no_data"), translated("no_pose", name=name), *begin, is_alarm=True)
         elif age > STALE_AFTER_S:
-            headline = say("no_data_for", seconds=f"{age:.0f}")
-            panel.show_status(headline, say("last_pose", name=name), is_alarm=True)
+            headline = translated("no_data_for", seconds=f"{age:.0f}")
+            panel.show_status(headline, translated("last_pose", name=name), is_alarm=True)
         else:
             panel.show_status(name, *self._pose_texts(), is_alarm=False)
 
     def _name(self, poses: PoseSubscriber) -> str:
         """Return the gateway's name, and whether it runs."""
         if self._gateway == ANY_GATEWAY:
-            return self._panel.say("no_gateway")
+            return self._panel.translated("no_gateway")
         state = poses.states.get(self._gateway, "unknown")
         known = state in ("online", "offline", "unknown")
-        return f"{self._gateway}: {self._panel.say(f'state_{state}') if known else state}"
+        return f"{self._gateway}: {self._panel.translated(f'state_{state}') if known else state}"
 
     def _pose_texts(self) -> tuple[str, ...]:
         """Return lines about poses that come."""
         latest = self._latest
         rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
-        say, language = self._panel.say, self._panel.language
+        translated, language = self._panel.translated, self._panel.language
         when = (
-            say("latency", ms=f"{latency * 1e3:.1f}")
+            translated("latency", ms=f"{latency * 1e3:.1f}")
             if latency < RECORDED_AFTER_S
-            else say("taken", when=_instant(latest))
+            else translated("taken", when=_instant(latest))
         )
-        pace = say("pace", rate=f"{rate:.0f}", when=when)
+        pace = translated("pace", rate=f"{rate:.0f}", when=when)
         if latest is None:
             return (pace,)
         markers = () if self._instant is None else self._instant.summary(language)
@@ -363,10 +365,10 @@ class LiveViewer:
         # beside a warning the good word would be what is read
         is_good = all(status == "measured" for status in statuses.values())
         summary = status_summary(statuses, self._silent(), language)
-        told = () if self._warnings() and is_good else (summary,)
+        summaries = () if self._warnings() and is_good else (summary,)
         status = self._recording.now(gateway_time_ns())
         stands = health_line(len(self._worn), len(self._silent()), self._losses.share, status, language)
-        return (pace, *told, stands, *markers)
+        return (pace, *summaries, stands, *markers)
 
     def _warnings(self) -> tuple[str, ...]:
         """Return what is wrong with poses that come."""
@@ -403,34 +405,36 @@ class LiveViewer:
             self._scene.marked = segment
 
     async def _request(self, family: str, verb: str, data: Mapping[str, Any]) -> None:
-        say, show = self._panel.say, self._panel.show_answer
-        wish = f"{say(f'{family}_row')}, {say(f'{family}_{verb}')}"
+        translated, show = self._panel.translated, self._panel.show_answer
+        action = f"{translated(f'{family}_row')}, {translated(f'{family}_{verb}')}"
         if family == "reset" and verb in COUNTED_DOWN:
             for left_s in range(COUNTDOWN_S, 0, -1):
-                show(say(COUNTED_DOWN[verb], wish=wish, left=left_s))
+                show(translated(COUNTED_DOWN[verb], action=action, left=left_s))
                 await asyncio.sleep(1.0)
-        show(say("is_asked", wish=wish))
+        show(translated("is_asked", action=action))
         try:
             answer = await self._answer_of(family, verb, data)
         except GatewayError as error:
-            show(say("went_wrong", wish=wish, error=error))
+            show(translated("went_wrong", action=action, error=error))
             return
-        show(say("is_done", wish=wish, told=self._answer_text(family, verb, answer)))
+        show(translated("is_done", action=action, details=self._answer_text(family, verb, answer)))
 
     def _answer_text(self, family: str, verb: str, answer: Mapping[str, Any]) -> str:
         """Return what a request has brought about, in short."""
         if family == "recording":
             file = str(answer.get("file", "")).rpartition("/")[2]
             clock = clock_of(answer.get("seconds"))
-            return self._panel.say("answer_recording", file=file, clock=clock, marks=answer.get("marks", 0))
-        told = ""
+            return self._panel.translated(
+                "answer_recording", file=file, clock=clock, marks=answer.get("marks", 0)
+            )
+        text = ""
         if turned := answer.get("turned_deg"):
-            told += self._panel.say("answer_turned", turned=f"{turned:g}")
+            text += self._panel.translated("answer_turned", turned=f"{turned:g}")
         if moved := answer.get("moved_m"):
-            told += self._panel.say("answer_moved", moved=f"{moved:g}")
+            text += self._panel.translated("answer_moved", moved=f"{moved:g}")
         if verb in REMOUNTING:
-            told += self._panel.say("answer_remounted", count=len(answer.get("remounted_deg", ())))
-        return told
+            text += self._panel.translated("answer_remounted", count=len(answer.get("remounted_deg", ())))
+        return text
 
 
 def _instant(received: ReceivedPose | None) -> str:

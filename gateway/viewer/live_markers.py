@@ -29,11 +29,11 @@ class LiveMarkers:
         self._language = ENGLISH
         self._poses: OrderedDict[int, ReceivedPose] = OrderedDict()
 
-    def speak(self, language: str) -> None:
+    def set_language(self, language: str) -> None:
         """Say everything in that language from now on."""
         self._language = language
         if self._scene is not None:
-            self._scene.speak(language)
+            self._scene.set_language(language)
 
     def add(self, received: ReceivedPose) -> None:
         """Keep a pose, and drop the oldest beyond ``_KEPT_POSES``."""

@@ -18,7 +18,7 @@ from gateway.recording.arrays import MarkerArrays
 from gateway.sources.markers import MarkerFrames
 from gateway.viewer.appearance import Colour, chips
 from gateway.viewer.stage import Stage
-from gateway.viewer.texts import ENGLISH, say
+from gateway.viewer.texts import ENGLISH, translated
 
 NEAR_M, FAR_M = 0.005, 0.03
 """Up to the first a marker is where the body has it, from the second on it is far off."""
@@ -57,16 +57,16 @@ class MarkerInstant:
         """Return ``39 markers, 2.8 mm RMS from the body, 1 left out``, and those farthest off."""
         residuals, used = self.residuals, self.used
         if not len(residuals):
-            return (say(language, "markers_count", count=0),)
-        told = [say(language, "markers_count", count=len(residuals))]
+            return (translated(language, "markers_count", count=0),)
+        parts = [translated(language, "markers_count", count=len(residuals))]
         if used.any():
             rms_mm = 1e3 * np.sqrt(np.mean(residuals[used] ** 2))
-            told.append(say(language, "markers_off", mm=f"{rms_mm:.1f}"))
+            parts.append(translated(language, "markers_off", mm=f"{rms_mm:.1f}"))
         if not used.all():
-            told.append(say(language, "markers_left_out", count=(~used).sum()))
+            parts.append(translated(language, "markers_left_out", count=(~used).sum()))
         farthest = np.argsort(-residuals)[:WORST]
         worst = ", ".join(f"{self.labels[m]} {1e3 * residuals[m]:.0f}" for m in farthest.tolist())
-        return ", ".join(told), say(language, "markers_worst", worst=worst)
+        return ", ".join(parts), translated(language, "markers_worst", worst=worst)
 
 
 NO_MARKERS = MarkerInstant((), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool), np.zeros((0, 3)))
@@ -163,16 +163,16 @@ class MarkerScene:
     def __init__(self, server: viser.ViserServer, stage: Stage, language: str = ENGLISH) -> None:
         self._server = server
         self._stage = stage
-        self._is_wanted = server.gui.add_checkbox(say(language, "markers"), True)
+        self._is_wanted = server.gui.add_checkbox(translated(language, "markers"), True)
         self._is_wanted.on_update(lambda _: self._show())
         self._legend = server.gui.add_html(_legend(language))
         nothing = np.zeros((0, 3))
         self._points = self._new_points(nothing, nothing.astype(np.uint8))
         self._lines = self._new_lines(nothing.reshape(0, 2, 3), nothing.reshape(0, 2, 3).astype(np.uint8))
 
-    def speak(self, language: str) -> None:
+    def set_language(self, language: str) -> None:
         """Say everything in that language from now on."""
-        self._is_wanted.label = say(language, "markers")
+        self._is_wanted.label = translated(language, "markers")
         self._legend.content = _legend(language)
 
     def draw(self, instant: MarkerInstant) -> None:
@@ -219,9 +219,9 @@ class MarkerScene:
 
 def _legend(language: str) -> str:
     meanings = (
-        (say(language, "marker_near", mm=f"{1e3 * NEAR_M:.0f}"), NEAR),
-        (say(language, "marker_far", mm=f"{1e3 * FAR_M:.0f}"), FAR),
-        (say(language, "marker_left_out"), LEFT_OUT),
-        (say(language, "marker_nameless"), NAMELESS),
+        (translated(language, "marker_near", mm=f"{1e3 * NEAR_M:.0f}"), NEAR),
+        (translated(language, "marker_far", mm=f"{1e3 * FAR_M:.0f}"), FAR),
+        (translated(language, "marker_left_out"), LEFT_OUT),
+        (translated(language, "marker_nameless"), NAMELESS),
     )
     return chips(meanings)

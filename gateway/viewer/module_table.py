@@ -14,7 +14,7 @@ from pydantic import JsonValue
 from firmware_protocol import RELAY
 from gateway.contract.messages import BridgeHealth, BridgeInfo
 from gateway.frames import Status
-from gateway.viewer.texts import ENGLISH, say, segment_name
+from gateway.viewer.texts import ENGLISH, segment_name, translated
 
 _COLUMNS = ("id", "segment", "col_battery", "col_lost", "ppm", "± µs")
 _LOST_COLUMN = 3
@@ -42,34 +42,34 @@ def module_rows(
     modules = health.statistics.get("modules", {}) if health is not None else {}
     doubts = health.statistics.get("doubts", {}) if health is not None else {}
     why: Mapping[str, JsonValue] = doubts if isinstance(doubts, dict) else {}
-    heard: Mapping[str, JsonValue] = modules if isinstance(modules, dict) else {}
+    summaries: Mapping[str, JsonValue] = modules if isinstance(modules, dict) else {}
     worn = {str(m.module): m.segment for m in info.modules} if info is not None else {}
     # Sorted by length first, so that 2 comes before 10.
-    names = sorted({*heard, *worn}, key=lambda name: (len(name), name))
-    others = {name: say(language, "relay" if name == RELAY_NAME else "not_in_rig") for name in names}
+    names = sorted({*summaries, *worn}, key=lambda name: (len(name), name))
+    others = {name: translated(language, "relay" if name == RELAY_NAME else "not_in_rig") for name in names}
     found: list[tuple[str, ...]] = []
     for name in names:
         place = worn.get(name, others[name])
         # A module that has gone silent still has its counters of before; shown, they would look alive.
-        summary = None if place in silent else heard.get(name)
+        summary = None if place in silent else summaries.get(name)
         row = _row(name, place, summary, language)
         doubt = str(why.get(name, ""))
         found.append((*row, _why_red(isinstance(summary, dict), row[_LOST_COLUMN], doubt, language)))
     return found
 
 
-def _why_red(is_heard: bool, lost: str, doubt: str, language: str) -> str:
+def _why_red(is_reporting: bool, lost: str, doubt: str, language: str) -> str:
     """Return what is wrong with a module and the remedy, or an empty text; ``lost`` is a cell of its row."""
-    if not is_heard:
-        return say(language, "remedy_silent", tab=say(language, "tab"))
+    if not is_reporting:
+        return translated(language, "remedy_silent", tab=translated(language, "tab"))
     if doubt:
-        return say(language, "why_doubtful", why=doubt)
-    return say(language, "remedy_lossy") if float(lost) > _LOSSY_PERCENT else ""
+        return translated(language, "why_doubtful", why=doubt)
+    return translated(language, "remedy_lossy") if float(lost) > _LOSSY_PERCENT else ""
 
 
 def module_table(rows: list[tuple[str, ...]], language: str = ENGLISH) -> str:
     """Return the rows as an HTML table; modules that lose over a per cent, or are doubtful, stand out."""
-    names = (say(language, key) if key.isidentifier() and key != "ppm" else key for key in _COLUMNS)
+    names = (translated(language, key) if key.isidentifier() and key != "ppm" else key for key in _COLUMNS)
     head = "".join(f'<th style="text-align:left;padding:1px 4px">{name}</th>' for name in names)
     body = "".join(_html_row(row) for row in rows)
     return (
@@ -137,11 +137,11 @@ def health_line(
 
     lost: share of the samples, 0 to 1. recording: the gateway's status of it, which has the disk's room.
     """
-    parts = [say(language, "modules_heard", heard=worn - silent, worn=worn)] if worn else []
-    parts.append(say(language, "share_lost", percent=f"{100 * lost:.1f}"))
+    parts = [translated(language, "modules_heard", reporting=worn - silent, worn=worn)] if worn else []
+    parts.append(translated(language, "share_lost", percent=f"{100 * lost:.1f}"))
     free_mb = recording.get("free_mb")
     if isinstance(free_mb, int | float):
-        parts.append(say(language, "gb_free", gb=f"{free_mb / 1e3:.1f}"))
+        parts.append(translated(language, "gb_free", gb=f"{free_mb / 1e3:.1f}"))
     return ", ".join(parts)
 
 
@@ -155,15 +155,17 @@ def warnings_of(
     found = []
     if lost >= MUCH_LOST:
         found.append(
-            say(language, "warn_lost", percent=f"{100 * lost:.0f}", modules=say(language, "modules"))
+            translated(
+                language, "warn_lost", percent=f"{100 * lost:.0f}", modules=translated(language, "modules")
+            )
         )
     if latency_s >= LATE_S:
-        found.append(say(language, "warn_late", seconds=f"{latency_s:.1f}"))
+        found.append(translated(language, "warn_late", seconds=f"{latency_s:.1f}"))
     status = recording or {}
     if (why := status.get("ended", _STOPPED)) != _STOPPED:  # else it would be missed when it is wanted
-        found.append(say(language, "warn_ended", why=why))
+        found.append(translated(language, "warn_ended", why=why))
     elif status.get("is_low"):
-        found.append(say(language, "warn_disk"))
+        found.append(translated(language, "warn_disk"))
     return tuple(found)
 
 
@@ -194,7 +196,8 @@ def recorded_rows(
 def recorded_table(rows: list[tuple[str, ...]], language: str = ENGLISH) -> str:
     """Return rows of ``recorded_rows`` as an HTML table."""
     heads = [
-        say(language, key) for key in ("segment", "share_measured", "share_interpolated", "share_missing")
+        translated(language, key)
+        for key in ("segment", "share_measured", "share_interpolated", "share_missing")
     ]
     cells = (
         "<tr>" + "".join(f'<td style="padding:1px 4px">{html.escape(cell)}</td>' for cell in row) + "</tr>"
@@ -209,7 +212,7 @@ def recorded_table(rows: list[tuple[str, ...]], language: str = ENGLISH) -> str:
 
 def _row(module: str, segment: str, summary: JsonValue, language: str) -> tuple[str, ...]:
     if not isinstance(summary, dict):
-        return (module, segment_name(language, segment), "", say(language, "col_silent"), "", "")
+        return (module, segment_name(language, segment), "", translated(language, "col_silent"), "", "")
     received, lost = _number(summary, "received"), _number(summary, "lost")
     share = 100.0 * lost / (received + lost) if received + lost else 0.0
     battery = summary.get("battery_percent")

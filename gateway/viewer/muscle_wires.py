@@ -19,7 +19,7 @@ from gateway.viewer.appearance import chips
 from gateway.viewer.posture import Posture
 from gateway.viewer.stage import Stage
 from gateway.viewer.step_tab import line
-from gateway.viewer.texts import ENGLISH, say
+from gateway.viewer.texts import ENGLISH, translated
 
 EVERY_S = 0.1
 ENOUGH_S = SPAN_S + 0.1
@@ -47,7 +47,7 @@ class MuscleWires:
         self._is_placed, self._language = True, ENGLISH
         self._legend = server.gui.add_html(_legend(ENGLISH, is_placed=True))
 
-    def speak(self, language: str) -> None:
+    def set_language(self, language: str) -> None:
         """Say what their colours mean in that language from now on."""
         self._language = language
         self._legend.content = _legend(language, self._is_placed)
@@ -120,10 +120,10 @@ def _legend(language: str, is_placed: bool) -> str:
     """Return what the wires' colours mean, and what is missing, as HTML."""
     names = ("muscle_idle", "muscle_half", "muscle_full")
     meanings = [
-        (say(language, name), (int(stop[0]), int(stop[1]), int(stop[2])))
+        (translated(language, name), (int(stop[0]), int(stop[1]), int(stop[2])))
         for name, stop in zip(names, _STOPS, strict=True)
     ]
-    return chips(meanings) + ("" if is_placed else line(say(language, "muscles_not_placed")))
+    return chips(meanings) + ("" if is_placed else line(translated(language, "muscles_not_placed")))
 
 
 def _with_joints(skeleton: Skeleton) -> Skeleton:

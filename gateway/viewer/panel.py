@@ -17,7 +17,7 @@ from gateway.viewer.module_table import clock_of
 from gateway.viewer.pose_table import attitude, bend_deg
 from gateway.viewer.stage import STYLE, VIEWS, Stage
 from gateway.viewer.tab_names import rename
-from gateway.viewer.texts import ENGLISH, LANGUAGES, movement_name, say, segment_name
+from gateway.viewer.texts import ENGLISH, LANGUAGES, movement_name, segment_name, translated
 
 PLOT_SPAN_S = 10.0
 _LINE_COLOURS = ("#d1495b", "#2e7d5b", "#30638e", "#edae49", "#8d5a97", "#5c5c5c")
@@ -58,17 +58,18 @@ class Panel:
         self._warnings = gui.add_html("")
         self._status = gui.add_html("")
         self._recording = gui.add_html("")
-        for row in rows:
-            self._add_row(gui, row, _on_any_page(row.pressed))
-        self._answer = gui.add_html("")
-        looks = ButtonRow("camera", VIEWS, lambda _view: None)
-        self._add_row(gui, looks, lambda view, client: self._look(view, client, stage))
-
         self.tabs = tabs = gui.add_tab_group()
-        self._tabs = {name: tabs.add_tab(say(ENGLISH, name)) for name in ("view", "plot", "modules")}
+        self._tabs = {name: tabs.add_tab(translated(ENGLISH, name)) for name in ("view", "plot", "modules")}
         with self._tabs["view"]:
+            # On the tab that is shown first, not above all tabs: on a phone they would push the content of
+            # the others below the edge of the page.
+            for row in rows:
+                self._add_row(gui, row, _on_any_page(row.pressed))
+            self._answer = gui.add_html("")
+            looks = ButtonRow("camera", VIEWS, lambda _view: None)
+            self._add_row(gui, looks, lambda view, client: self._look(view, client, stage))
             language = gui.add_dropdown("Language / Sprache", tuple(LANGUAGES))
-            language.on_update(lambda _: self.speak(LANGUAGES[language.value]))
+            language.on_update(lambda _: self.set_language(LANGUAGES[language.value]))
             self.bones = self._add_choice(gui, "bones", False)
             self.light = self._add_choice(gui, "light", False)
             self.axes = self._add_choice(gui, "axes", False)
@@ -77,8 +78,8 @@ class Panel:
             self.follow = self._add_choice(gui, "follow", True)
             self._legend = gui.add_html(legend())
         with self._tabs["plot"]:
-            self._plotted = gui.add_dropdown(self.say("of"), ("–",))
-            self._plot = SeriesPlot(server, self.say("last_seconds"))
+            self._plotted = gui.add_dropdown(self.translated("of"), ("–",))
+            self._plot = SeriesPlot(server, self.translated("last_seconds"))
         with self._tabs["modules"]:
             self._modules = gui.add_html("")
 
@@ -96,8 +97,8 @@ class Panel:
         row: ButtonRow,
         pressed: Callable[[str, viser.ClientHandle | None], None],
     ) -> None:
-        texts = tuple(self.say(f"{row.name}_{option}") for option in row.options)
-        group = gui.add_button_group(self.say(f"{row.name}_row"), texts)
+        texts = tuple(self.translated(f"{row.name}_{option}") for option in row.options)
+        group = gui.add_button_group(self.translated(f"{row.name}_row"), texts)
 
         def clicked(event: viser.GuiEvent[Any]) -> None:
             # A press may cross a change of language, and then names a text that is no longer there.
@@ -108,31 +109,31 @@ class Panel:
         self._rows.append((row, group))
 
     def _add_choice(self, gui: viser.GuiApi, name: str, is_chosen: bool) -> viser.GuiInputHandle[bool]:
-        choice = gui.add_checkbox(self.say(name), is_chosen)
+        choice = gui.add_checkbox(self.translated(name), is_chosen)
         self._choices[name] = choice
         return choice
 
-    def say(self, key: str, **values: object) -> str:
+    def translated(self, key: str, **values: object) -> str:
         """Return a text in the page's language."""
-        return say(self.language, key, **values)
+        return translated(self.language, key, **values)
 
     def on_language(self, listener: Callable[[str], None]) -> None:
         """Call a listener with each language that is chosen, in a thread of the page's server."""
         self._listeners.append(listener)
 
-    def speak(self, language: str) -> None:
+    def set_language(self, language: str) -> None:
         """Say everything in that language from now on."""
         self.language = language
         for row, group in self._rows:
-            group.label = self.say(f"{row.name}_row")
-            group.options = tuple(self.say(f"{row.name}_{option}") for option in row.options)
+            group.label = self.translated(f"{row.name}_row")
+            group.options = tuple(self.translated(f"{row.name}_{option}") for option in row.options)
         for name, choice in self._choices.items():
-            choice.label = self.say(name)
+            choice.label = self.translated(name)
         for name, tab in self._tabs.items():
-            rename(self.tabs, tab, self.say(name))
+            rename(self.tabs, tab, self.translated(name))
         self._legend.content = legend(language)
-        self._plotted.label = self.say("of")
-        self._plot.name(self.say("last_seconds"))
+        self._plotted.label = self.translated("of")
+        self._plot.name(self.translated("last_seconds"))
         for listener in self._listeners:
             listener(language)
 
@@ -145,17 +146,17 @@ class Panel:
         if kind == "of_attitude":
             q_wb = pose.segments.get(name)
             angles = attitude(q_wb) if q_wb is not None else (_UNDEFINED,) * 3
-            series = [self.say(each) for each in ("heading", "pitch", "roll")]
-            self._plot.add(self.say("plot_angles", name=plain), pose.t_ns, series, angles)
+            series = [self.translated(each) for each in ("heading", "pitch", "roll")]
+            self._plot.add(self.translated("plot_angles", name=plain), pose.t_ns, series, angles)
         elif kind == "of_bend" and name in self.parents:
             parent = self.parents[name]
             bend = bend_deg(pose.segments.get(parent), pose.segments.get(name))
-            title = self.say("plot_bend", name=plain, parent=segment_name(self.language, parent))
-            self._plot.add(title, pose.t_ns, (self.say("bend"),), (bend,))
+            title = self.translated("plot_bend", name=plain, parent=segment_name(self.language, parent))
+            self._plot.add(title, pose.t_ns, (self.translated("bend"),), (bend,))
         elif kind == "of_angles" and joints.get(name):
             found = joints[name] or {}
             movements = [movement_name(self.language, movement) for movement in found]
-            title = self.say("plot_angles", name=plain)
+            title = self.translated("plot_angles", name=plain)
             self._plot.add(title, pose.t_ns, movements, list(found.values()))
 
     def _offer(self, offer: _Offer) -> None:
@@ -171,7 +172,8 @@ class Panel:
         )
         self._offered = offer
         self._series = {
-            self.say(kind, name=segment_name(self.language, name)): (kind, name) for kind, name in of_each
+            self.translated(kind, name=segment_name(self.language, name)): (kind, name)
+            for kind, name in of_each
         }
         self._plotted.options = tuple(self._series)
         for option, series in self._series.items():
@@ -184,8 +186,8 @@ class Panel:
         residuals = 1e3 * markers.residuals
         if self._series.get(self._plotted.value) == _RESIDUALS and markers.used.any():
             values = (float(np.sqrt(np.mean(residuals[markers.used] ** 2))), float(residuals.max()))
-            series = (self.say("markers_rms"), self.say("markers_farthest"))
-            self._plot.add(self.say("plot_markers"), t_ns, series, values)
+            series = (self.translated("markers_rms"), self.translated("markers_farthest"))
+            self._plot.add(self.translated("plot_markers"), t_ns, series, values)
 
     def draw_plot(self) -> None:
         """Bring the plot up to date."""

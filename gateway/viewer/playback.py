@@ -17,7 +17,7 @@ from gateway.viewer.posture import PostureKeeper
 from gateway.viewer.replaying import RecordedPoses
 from gateway.viewer.scene import BodyScene
 from gateway.viewer.stage import Stage
-from gateway.viewer.texts import ENGLISH, say
+from gateway.viewer.texts import ENGLISH, translated
 from gateway.viewer.trail import Trail
 
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
@@ -60,9 +60,9 @@ class Playback:
         self._panel = Panel(
             server, (ButtonRow("playback", ("play", "pause", "begin"), self._press),), self._stage
         )
-        self._speed = server.gui.add_dropdown(say(ENGLISH, "speed"), SPEEDS, initial_value="1")
+        self._speed = server.gui.add_dropdown(translated(ENGLISH, "speed"), SPEEDS, initial_value="1")
         end_s = max(self._times_s[-1], TIME_LINE_STEP_S)
-        self._line = server.gui.add_slider(say(ENGLISH, "time"), 0.0, end_s, TIME_LINE_STEP_S, 0.0)
+        self._line = server.gui.add_slider(translated(ENGLISH, "time"), 0.0, end_s, TIME_LINE_STEP_S, 0.0)
         self._trail = Trail(server, self._stage)
         self._ghost = None if compared is None else Ghost(server, self._stage, compared, arrays)
 
@@ -70,17 +70,17 @@ class Playback:
         self._drawn = -1
         self._markers = markers
         self._marker_scene = None if markers is None else MarkerScene(server, self._stage)
-        self._speak(ENGLISH)
-        self._panel.on_language(self._speak)
+        self._set_language(ENGLISH)
+        self._panel.on_language(self._set_language)
 
-    def _speak(self, language: str) -> None:
+    def _set_language(self, language: str) -> None:
         """Say everything in that language from now on."""
         rows = recorded_rows(self._arrays.segment_names, self._arrays.status, language)
         self._panel.show_modules(recorded_table(rows, language))
-        self._speed.label, self._line.label = say(language, "speed"), say(language, "time")
+        self._speed.label, self._line.label = translated(language, "speed"), translated(language, "time")
         for each in (self._ghost, self._marker_scene, self._wires):
             if each is not None:
-                each.speak(language)
+                each.set_language(language)
         self._drawn = -1
 
     async def run(self) -> None:
@@ -131,7 +131,7 @@ class Playback:
         self._panel.add_pose(pose)
         language = self._panel.language
         seconds = f"{self._times_s[index]:.2f}"
-        where = say(language, "frame_of", seconds=seconds, number=index + 1, count=len(self._times_s))
+        where = translated(language, "frame_of", seconds=seconds, number=index + 1, count=len(self._times_s))
         lines = [where, status_summary(pose.status, silent, language)]
         if self._markers is not None and self._marker_scene is not None:
             instant = self._markers.at(index)

@@ -12,7 +12,7 @@ from gateway.frames import SkeletonFrame
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays
-from gateway.viewer.texts import ENGLISH, say
+from gateway.viewer.texts import ENGLISH, translated
 
 
 class RecordedPoses:
@@ -55,7 +55,7 @@ class ReplayedTake:
     ) -> None:
         """Play on the body that is shown. Raises ``GatewayError`` where the recording is of another body."""
         if shown is None or arrays.skeleton.segment_names != shown.segment_names:
-            raise GatewayError(say(language, "replay_other", file=name, body=arrays.skeleton.name))
+            raise GatewayError(translated(language, "replay_other", file=name, body=arrays.skeleton.name))
         self.name = name
         self._poses = RecordedPoses(arrays)
         self._begun_s: float | None = None
@@ -69,7 +69,7 @@ class ReplayedTake:
     def text(self, now_s: float, language: str = ENGLISH) -> str:
         """Return position and length of the recording as text."""
         seconds, length = f"{self._position_s(now_s):.1f}", f"{self._poses.times_s[-1]:.1f}"
-        return say(language, "replay_at", seconds=seconds, length=length)
+        return translated(language, "replay_at", seconds=seconds, length=length)
 
     def _position_s(self, now_s: float) -> float:
         length_s = max(self._poses.times_s[-1], 1e-3)

@@ -17,7 +17,7 @@ from gateway.geometry import quaternion
 from gateway.viewer.appearance import COLOURS, FACE, MOST_NAMED, segment_colours, side_of
 from gateway.viewer.posture import Posture
 from gateway.viewer.stage import Stage
-from gateway.viewer.texts import ENGLISH, say, segment_name
+from gateway.viewer.texts import ENGLISH, segment_name, translated
 
 AXES_LENGTH_M = 0.09
 _BODY = "/body"
@@ -154,7 +154,7 @@ class BodyScene:
             if is_visible:
                 text = segment_name(self.language, names[s])
                 if names[s] in silent:
-                    text = say(self.language, "no_data_label", segment=text)
+                    text = translated(self.language, "no_data_label", segment=text)
                 if label.text != text:
                     label.text = text
                 label.position = (*places[s][:2], heights[s])

@@ -9,7 +9,7 @@ from typing import Any
 import viser
 
 from gateway.viewer.step_tab import COLOURS, GOOD, NOTHING, Ask, StepTab, line, table
-from gateway.viewer.texts import say, segment_name
+from gateway.viewer.texts import segment_name, translated
 
 LOOK_S = 1.0
 
@@ -33,7 +33,7 @@ class SensorTab(StepTab):
         self.build()
 
     def _add_parts(self) -> list[Any]:
-        why = self._server.gui.add_html(line(self._say("sensors_why")))
+        why = self._server.gui.add_html(line(self._translated("sensors_why")))
         begin, resume = self._button("sensors_begin", self._begin), self._button("resume", self._watch)
         self._table = self._server.gui.add_html(self._table_html())
         enough = self._button("sensors_result", self._find)
@@ -74,13 +74,13 @@ class SensorTab(StepTab):
     async def _watch(self) -> str:
         """Show what to do until it is enough, or the user ends it."""
         if self._is_watched:
-            return self._say("check_busy")
+            return self._translated("check_busy")
         self._is_watched = True
         try:
             while (status := await self._ask("sensors", "status", {}))["phase"] == "watching":
                 self._offer(True, self._is_found)
                 self._show(status=status)
-                self._tell(self._advice(status))
+                self._show_text(self._advice(status))
                 if status["enough"]:
                     return self._advice(status)
                 await asyncio.sleep(LOOK_S)
@@ -88,36 +88,42 @@ class SensorTab(StepTab):
             self._is_watched = False
         is_found = status["phase"] == "found"
         self._offer(is_found, is_found)
-        return self._say("sensors_ended" if is_found else "sensors_idle", begin=self._say("sensors_begin"))
+        return self._translated(
+            "sensors_ended" if is_found else "sensors_idle", begin=self._translated("sensors_begin")
+        )
 
     def _advice(self, status: Mapping[str, Any]) -> str:
         modules = ", ".join(map(str, status["waited_for"]))
-        return self._say(f"advice_{status['advice']}", modules=modules, result=self._say("sensors_result"))
+        return self._translated(
+            f"advice_{status['advice']}", modules=modules, result=self._translated("sensors_result")
+        )
 
     async def _find(self) -> str:
-        self._tell(self._say("works"))
+        self._show_text(self._translated("works"))
         found = (await self._ask("sensors", "result", {}))["modules"]
         self._show(found=found)
         self._offer(self._is_begun, True)
         good = sum(all(one["quality"] == "good" for one in each.values()) for each in found.values())
-        return self._say("sensors_scored", good=good, count=len(found))
+        return self._translated("sensors_scored", good=good, count=len(found))
 
     async def _keep_in_file(self) -> str:
         kept = await self._ask("sensors", "accept", {})
         if not kept["is_configured"]:
-            return self._say("sensors_later", count=len(kept["accepted"]), where=kept["file"])
+            return self._translated("sensors_later", count=len(kept["accepted"]), where=kept["file"])
         await self._ask("gateway", "reload", {})
-        return self._say("sensors_kept", count=len(kept["accepted"]), where=kept["file"])
+        return self._translated("sensors_kept", count=len(kept["accepted"]), where=kept["file"])
 
     async def _keep_in_modules(self) -> str:
         kept = await self._ask("sensors", "accept", {"flash": True})
-        return self._say("sensors_kept", count=len(kept["accepted"]), where=self._say("in_modules"))
+        return self._translated(
+            "sensors_kept", count=len(kept["accepted"]), where=self._translated("in_modules")
+        )
 
     async def _cancel(self) -> str:
         await self._ask("sensors", "cancel", {})
         self._offer(False, False)
         self._show()
-        return self._say("sensors_given_up")
+        return self._translated("sensors_given_up")
 
 
 def progress_table(status: Mapping[str, Any], language: str) -> str:
@@ -128,14 +134,16 @@ def progress_table(status: Mapping[str, Any], language: str) -> str:
             (
                 str(one["module"]),
                 segment_name(language, one["segment"] or NOTHING),
-                f"{one['rest_s']:.0f}" if one["heard"] else say(language, "silent"),
+                f"{one['rest_s']:.0f}" if one["heard"] else translated(language, "silent"),
                 f"{one['positions']}/{one['wanted_positions']}",
                 f"{100 * one['coverage']:.0f} %",
             ),
         )
         for one in status["modules"]
     ]
-    return table([say(language, key) for key in ("id", "segment", "at_rest_s", "positions", "turned")], rows)
+    return table(
+        [translated(language, key) for key in ("id", "segment", "at_rest_s", "positions", "turned")], rows
+    )
 
 
 def result_table(found: Mapping[str, Mapping[str, Mapping[str, Any]]], language: str) -> str:
@@ -143,9 +151,14 @@ def result_table(found: Mapping[str, Mapping[str, Mapping[str, Any]]], language:
     rows = [
         (
             COLOURS.get(one["quality"], COLOURS["bad"]),
-            (module, say(language, sensor), say(language, one["quality"]), "; ".join(one["reasons"])),
+            (
+                module,
+                translated(language, sensor),
+                translated(language, one["quality"]),
+                "; ".join(one["reasons"]),
+            ),
         )
         for module, each in found.items()
         for sensor, one in each.items()
     ]
-    return table([say(language, key) for key in ("id", "sensor", "quality", "why")], rows)
+    return table([translated(language, key) for key in ("id", "sensor", "quality", "why")], rows)

@@ -23,10 +23,10 @@ def _figures() -> dict[str, list[Figure]]:
     return found
 
 
-def step_picture(step: str, told: str) -> str:
+def step_picture(step: str, description: str) -> str:
     """Return a step from the front and from the right, as HTML; empty where there is no picture of it.
 
-    told: a description of the picture, for screen readers.
+    description: a description of the picture, for screen readers.
     """
     figures = _figures().get(step)
     if figures is None:
@@ -42,7 +42,7 @@ def step_picture(step: str, told: str) -> str:
     )
     wide = 2.0 * _APART_M
     return (
-        f'<div style="padding:2px 12px"><svg role="img" aria-label="{html.escape(told, quote=True)}" '
+        f'<div style="padding:2px 12px"><svg role="img" aria-label="{html.escape(description, quote=True)}" '
         f'viewBox="{-0.5 * _APART_M:.2f} 0 {wide:.2f} {_HEIGHT_M}" style="width:100%;max-height:170px;'
         'background:rgba(128,128,128,.12);border-radius:6px">'
         f'<g stroke-width="0.07" stroke-linecap="round">{shown}</g></svg></div>'

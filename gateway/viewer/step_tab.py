@@ -15,7 +15,7 @@ import viser
 
 from gateway.errors import GatewayError
 from gateway.viewer.tab_names import rename
-from gateway.viewer.texts import ENGLISH, say
+from gateway.viewer.texts import ENGLISH, translated
 
 _log = logging.getLogger(__name__)
 Ask = Callable[[str, str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
@@ -67,18 +67,18 @@ class Errands:
         self._loop = loop
         self._work: set[concurrent.futures.Future[None]] = set()
 
-    def start(self, action: Action, tell: Callable[[str], object]) -> None:
+    def start(self, action: Action, show: Callable[[str], object]) -> None:
         """Do it, and show what became of it, or what is wrong."""
 
         async def work() -> None:
             try:
-                said = await action()
+                text = await action()
             except GatewayError as error:
-                said = str(error)
+                text = str(error)
             except Exception as error:  # a button that says nothing would be pressed again and again
                 _log.exception("a button of the page")
-                said = say(self.language, "unexpected", error=repr(error))
-            tell(said)
+                text = translated(self.language, "unexpected", error=repr(error))
+            show(text)
 
         future = asyncio.run_coroutine_threadsafe(work(), self._loop)
         self._work.add(future)
@@ -99,7 +99,7 @@ class StepTab(ABC):
         """Add an empty tab; ``name`` is the key of its name in the texts."""
         self._server, self._ask, self._errands = server, ask, Errands(loop)
         self._tabs, self._name = tabs, name
-        self._tab = tabs.add_tab(say(ENGLISH, name))
+        self._tab = tabs.add_tab(translated(ENGLISH, name))
         self._language = ENGLISH
         self._handles: list[Any] = []
         self._places: list[Any] = []
@@ -115,19 +115,19 @@ class StepTab(ABC):
         with self._tab:
             self._handles = self._add_parts()
 
-    def speak(self, language: str) -> None:
+    def set_language(self, language: str) -> None:
         """Say everything in that language from now on."""
         if language != self._language:
             self._language = self._errands.language = language
-            rename(self._tabs, self._tab, self._say(self._name))
+            rename(self._tabs, self._tab, self._translated(self._name))
             self.build()
 
     @abstractmethod
     def _add_parts(self) -> list[Any]:
         """Add buttons and the rest to the page; return all of them. Shows what is known already."""
 
-    def _say(self, key: str, **values: object) -> str:
-        return say(self._language, key, **values)
+    def _translated(self, key: str, **values: object) -> str:
+        return translated(self._language, key, **values)
 
     def _button(self, key: str, action: Action, **options: Any) -> Any:
         """Add a button that does something; the outcome is shown below it."""
@@ -137,7 +137,7 @@ class StepTab(ABC):
         self, key: str, action: Callable[[viser.ClientHandle | None], Awaitable[str]], **options: Any
     ) -> Any:
         """Add a button whose action concerns the page on which it was pressed."""
-        button = self._server.gui.add_button(self._say(key), **options)
+        button = self._server.gui.add_button(self._translated(key), **options)
         place = self._server.gui.add_html("", visible=False)
         self._places.append(place)
 
@@ -152,13 +152,13 @@ class StepTab(ABC):
                 _PLACE.set(place)
                 return await action(event.client)
 
-            self._errands.start(work, self._tell)
+            self._errands.start(work, self._show_text)
 
         button.on_click(pressed)
         return button
 
-    def _tell(self, said: str) -> None:
+    def _show_text(self, text: str) -> None:
         """Show it below the button of the action under way, unless another button was pressed since."""
         if (place := _PLACE.get()) is self._place:
-            place.content = line(said)
+            place.content = line(text)
             place.visible = True

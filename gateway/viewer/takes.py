@@ -17,7 +17,7 @@ from gateway.errors import GatewayError
 from gateway.recording import SkeletonArrays, open_recording
 from gateway.viewer.module_table import clock_of
 from gateway.viewer.step_tab import NOTHING, POOR, Ask, StepTab, set_options
-from gateway.viewer.texts import say, segment_name
+from gateway.viewer.texts import segment_name, translated
 
 LARGEST_DOWNLOAD = 1 << 30
 """Bytes: it is kept in memory on its way to the browser."""
@@ -72,17 +72,19 @@ class TakesTab(StepTab):
         set_options(self._take, tuple(self._files()) or (NOTHING,), chosen)
 
     def _add_list(self) -> Any:
-        told = "" if self._listed is None else takes_list(self._listed, self._language)
-        self._list = self._server.gui.add_html(told)
+        content = "" if self._listed is None else takes_list(self._listed, self._language)
+        self._list = self._server.gui.add_html(content)
         return self._list
 
     def _add_choice(self) -> Any:
-        self._take = self._server.gui.add_dropdown(self._say("take"), tuple(self._files()) or (NOTHING,))
+        self._take = self._server.gui.add_dropdown(
+            self._translated("take"), tuple(self._files()) or (NOTHING,)
+        )
         return self._take
 
     def _add_formats(self) -> Any:
         formats = tuple((self._listed or {}).get("formats", ())) or (USUAL_FORMAT,)
-        self._format = self._server.gui.add_dropdown(self._say("format"), formats)
+        self._format = self._server.gui.add_dropdown(self._translated("format"), formats)
         return self._format
 
     def _files(self) -> dict[str, Mapping[str, Any]]:
@@ -92,24 +94,26 @@ class TakesTab(StepTab):
 
     async def _record(self) -> str:
         answer = await self._ask("recording", "start", {})
-        return self._say("records_to", file=Path(str(answer["file"])).name)
+        return self._translated("records_to", file=Path(str(answer["file"])).name)
 
     async def _stop(self) -> str:
         answer = await self._ask("recording", "stop", {})
         await self._look()
-        return self._say("recorded", file=Path(str(answer["file"])).name, clock=clock_of(answer["seconds"]))
+        return self._translated(
+            "recorded", file=Path(str(answer["file"])).name, clock=clock_of(answer["seconds"])
+        )
 
     async def _look(self) -> str:
         self._listed = await self._ask("recording", "list", {})
         self._list.content = takes_list(self._listed, self._language)
         self._offer(self._take.value)
         self._format.options = tuple(self._listed["formats"])
-        return self._say("takes_found", count=len(self._files()), folder=self._listed["folder"])
+        return self._translated("takes_found", count=len(self._files()), folder=self._listed["folder"])
 
     def _chosen(self) -> Mapping[str, Any]:
         """Return the recording that is chosen. Raises ``GatewayError`` where none is."""
         if (take := self._files().get(self._take.value)) is None:
-            raise GatewayError(self._say("no_take", list=self._say("takes_list")))
+            raise GatewayError(self._translated("no_take", list=self._translated("takes_list")))
         return take
 
     async def _show(self) -> str:
@@ -122,32 +126,34 @@ class TakesTab(StepTab):
         self._replay(arrays, take["file"])
         self._is_replaying = True
         self._offer(take["file"])
-        return self._say("replays", file=take["file"], live=self._say("live"))
+        return self._translated("replays", file=take["file"], live=self._translated("live"))
 
     async def _show_live(self) -> str:
         self._replay(None, "")
         self._is_replaying = False
         self._offer(self._take.value)
-        return self._say("is_live")
+        return self._translated("is_live")
 
     async def _export(self, client: viser.ClientHandle | None) -> str:
         take, to = self._chosen(), self._format.value
-        self._tell(self._say("exports", file=take["file"], to=to))
+        self._show_text(self._translated("exports", file=take["file"], to=to))
         made = await self._ask("recording", "export", {"file": take["file"], "to": to})
         await self._send(client, str(made["file"]))
         await self._look()
-        told = self._say("exported", file=made["file"], frames=made["frames"], rate=f"{made['rate_hz']:g}")
+        made_text = self._translated(
+            "exported", file=made["file"], frames=made["frames"], rate=f"{made['rate_hz']:g}"
+        )
         guessed = [name for name, count in made["interpolated"].items() if count == made["frames"]]
         if not guessed:
-            return told
+            return made_text
         named = ", ".join(segment_name(self._language, name) for name in guessed)
-        return f"{told}; {self._say('never_known', segments=named)}"
+        return f"{made_text}; {self._translated('never_known', segments=named)}"
 
     async def _download(self, client: viser.ClientHandle | None) -> str:
         take = self._chosen()
         for name in take["files"]:
             await self._send(client, name)
-        return self._say("downloaded", file=take["file"])
+        return self._translated("downloaded", file=take["file"])
 
     async def _send(self, client: viser.ClientHandle | None, name: str) -> None:
         """Send a file to the page that asked for it."""
@@ -163,11 +169,15 @@ class TakesTab(StepTab):
             piece = await self._ask("recording", "read", {"file": name, "offset": len(found)})
             data, size = base64.b64decode(piece["data"]), int(piece["bytes"])
             if size > LARGEST_DOWNLOAD:
-                raise GatewayError(self._say("too_large", file=name, folder=(self._listed or {})["folder"]))
+                raise GatewayError(
+                    self._translated("too_large", file=name, folder=(self._listed or {})["folder"])
+                )
             if not data:
                 break
             found += data
-            self._tell(self._say("reads", file=name, percent=f"{100 * len(found) / max(size, 1):.0f}"))
+            self._show_text(
+                self._translated("reads", file=name, percent=f"{100 * len(found) / max(size, 1):.0f}")
+            )
         return bytes(found)
 
 
@@ -182,13 +192,17 @@ def takes_list(listed: Mapping[str, Any], language: str) -> str:
         f'<div style="color:{POOR}">{html.escape(problem)}</div>' for problem in listed["problems"]
     )
     free = listed.get("free_mb")
-    room = "" if free is None else f"<div>{html.escape(say(language, 'room', gb=f'{free / 1e3:.1f}'))}</div>"
+    room = (
+        ""
+        if free is None
+        else f"<div>{html.escape(translated(language, 'room', gb=f'{free / 1e3:.1f}'))}</div>"
+    )
     return f'<div style="padding:0 12px 4px;font-size:12px">{room}{problems}{cards}</div>'
 
 
 def _card(take: Mapping[str, Any], language: str) -> str:
     loss = take["loss_percent"]
-    lost = "" if loss is None else say(language, "take_lost", percent=f"{loss:.2f}")
+    lost = "" if loss is None else translated(language, "take_lost", percent=f"{loss:.2f}")
     colour = POOR if loss is not None and loss > _MUCH_LOST_PERCENT else "inherit"
     when = datetime.fromtimestamp(take["begun_utc_ns"] * 1e-9, UTC)
     size = f"{clock_of(take['duration_s'])} · {take['bytes'] / 1e6:.1f} MB"

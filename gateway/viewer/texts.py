@@ -38,6 +38,6 @@ def _name(language: str, kind: str, word: str) -> str:
     return texts(language).get(f"{kind}_{word}", word.replace("_", " "))
 
 
-def say(language: str, key: str, **values: object) -> str:
+def translated(language: str, key: str, **values: object) -> str:
     """Return one text with its values filled in. Raises ``KeyError`` for an unknown one."""
     return texts(language)[key].format(**values)

@@ -90,31 +90,31 @@ def test_a_flood_of_one_address_pushes_out_its_own():
     crowd.enter("early and slow", "10.0.0.1")
     for number in range(100):
         crowd.enter(number, "10.0.0.66")
-    crowd.speak("early and slow")
+    crowd.note_request("early and slow")
     assert len(crowd) == 8
     crowd.enter("late", "10.0.0.2")
-    crowd.speak("late")
-    assert {"early and slow", "late"} <= set(crowd._speaking)
+    crowd.note_request("late")
+    assert {"early and slow", "late"} <= set(crowd._active)
 
 
 def test_one_address_does_not_take_all_places():
     crowd = Crowd(8, 6)
     for number in range(6):
         crowd.enter(number, "10.0.0.66")
-        crowd.speak(number)
+        crowd.note_request(number)
     crowd.enter("seventh", "10.0.0.66")
     with pytest.raises(CrowdedError):
-        crowd.speak("seventh")
+        crowd.note_request("seventh")
     crowd.leave("seventh")
     crowd.enter("another", "10.0.0.1")
-    crowd.speak("another")
+    crowd.note_request("another")
 
 
 def test_no_room_where_all_are_being_answered():
     crowd = Crowd(2, 2)
     for number in range(2):
         crowd.enter(number, f"10.0.0.{number}")
-        crowd.speak(number)
+        crowd.note_request(number)
     with pytest.raises(CrowdedError):
         crowd.enter("third", "10.0.0.9")
     crowd.leave(0)
@@ -126,11 +126,11 @@ def test_never_more_than_there_is_room_for(steps):
     crowd = Crowd(4, 3)
     for step, visitor in steps:
         with contextlib.suppress(CrowdedError):
-            if step == "e" and visitor not in crowd._speaking:
+            if step == "e" and visitor not in crowd._active:
                 crowd.enter(visitor, str(visitor % 3))
             elif step == "s":
-                crowd.speak(visitor)
+                crowd.note_request(visitor)
             elif step == "l":
                 crowd.leave(visitor)
         assert len(crowd) <= 4
-        assert not crowd._silent.keys() & crowd._speaking.keys()
+        assert not crowd._silent.keys() & crowd._active.keys()

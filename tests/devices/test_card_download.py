@@ -146,9 +146,9 @@ async def test_recording_of_a_card_holds_what_the_modules_sent(commanded_suit, t
         async with client.reading():
             relay = suit.unique_id(RELAY)
             begun_s = suit.soon_s(0.0)
-            await client.ask(relay, Verb.START)
+            await client.request(relay, Verb.START)
             await asyncio.sleep(0.5)
-            await client.ask(relay, Verb.STOP)
+            await client.request(relay, Verb.STOP)
             took_s = suit.soon_s(0.0) - begun_s
             (entry,) = await Card(client, relay).files()
             await download(Card(client, relay).read, entry, tmp_path / "walk.card")

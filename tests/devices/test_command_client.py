@@ -51,8 +51,8 @@ async def test_hello_agrees_on_the_version(commanded_suit):
     async with commanded_suit() as suit:
         client = CommandClient([suit.link])
         async with client.reading():
-            assert await client.ask(suit.unique_id(2), Verb.HELLO, 1, 9) == (1, 1, 1)
-            assert await client.ask(suit.unique_id(2), Verb.HELLO, 7, 9) == (0, 1, 1)
+            assert await client.request(suit.unique_id(2), Verb.HELLO, 1, 9) == (1, 1, 1)
+            assert await client.request(suit.unique_id(2), Verb.HELLO, 7, 9) == (0, 1, 1)
 
 
 async def test_every_answer_lost_once_is_got_by_asking_again_and_acted_on_once(commanded_suit):
@@ -60,24 +60,24 @@ async def test_every_answer_lost_once_is_got_by_asking_again_and_acted_on_once(c
         link = LosesFirstAnswers(suit.link)
         client = CommandClient([link], allow_writes=True)
         async with client.reading():
-            everyone = await client.ask_all(Verb.HELLO, 1, 1)
+            everyone = await client.request_all(Verb.HELLO, 1, 1)
             assert set(everyone) == {suit.unique_id(number) for number in range(4)}
             one = suit.unique_id(1)
-            await client.ask(one, Verb.WRITE_SETTING, LABEL, encode_value(LABEL, "left"))
-            first = await client.ask(one, Verb.COMMIT)
+            await client.request(one, Verb.WRITE_SETTING, LABEL, encode_value(LABEL, "left"))
+            first = await client.request(one, Verb.COMMIT)
             assert link.lost == 4 + 2
             with pytest.raises(CommandRefusedError) as refused:
-                await client.ask(one, Verb.COMMIT)
+                await client.request(one, Verb.COMMIT)
             assert refused.value.result is Result.NOTHING_STAGED  # so the first one was not done twice
-            await client.ask(one, Verb.WRITE_SETTING, LABEL, encode_value(LABEL, "right"))
-            assert await client.ask(one, Verb.COMMIT) == (first[0] + 1,)
+            await client.request(one, Verb.WRITE_SETTING, LABEL, encode_value(LABEL, "right"))
+            assert await client.request(one, Verb.COMMIT) == (first[0] + 1,)
 
 
 async def test_a_device_that_shares_its_id_answers_for_itself_alone(commanded_suit):
     async with commanded_suit(stored_ids={2: 1}) as suit:
         client = CommandClient([suit.link])
         async with client.reading():
-            await client.ask(suit.unique_id(2), Verb.IDENTIFY, 60)
+            await client.request(suit.unique_id(2), Verb.IDENTIFY, 60)
             now_s = suit.soon_s()
             assert suit.traffic.device(2).is_blinking(now_s)
             assert not suit.traffic.device(1).is_blinking(now_s)
@@ -95,7 +95,7 @@ async def test_nothing_that_changes_a_device_is_sent_unless_allowed(commanded_su
         client = CommandClient([suit.link])
         async with client.reading():
             with pytest.raises(WritesLockedError, match=r"allow_device_writes.*--allow-writes"):
-                await client.ask(suit.unique_id(0), verb, *arguments[verb])
+                await client.request(suit.unique_id(0), verb, *arguments[verb])
             await asyncio.sleep(0.05)
             assert suit.suit.counts.received_bytes == 0
 
@@ -106,7 +106,7 @@ async def test_a_device_locked_by_itself_says_so(commanded_suit):
         client = CommandClient([suit.link], allow_writes=True)
         async with client.reading():
             with pytest.raises(CommandRefusedError, match="locked on the device itself") as refused:
-                await client.ask(suit.unique_id(0), Verb.WRITE_SETTING, LABEL, b"\0" * 16)
+                await client.request(suit.unique_id(0), Verb.WRITE_SETTING, LABEL, b"\0" * 16)
             assert refused.value.result is Result.REFUSED
 
 
@@ -116,7 +116,7 @@ async def test_silence_is_named_after_so_many_attempts(commanded_suit, monkeypat
         client = CommandClient([suit.link])
         async with client.reading():
             with pytest.raises(NoAnswerError, match=r"device 6e6f.*does not answer HELLO \(asked 3 times\)"):
-                await client.ask(b"nobody here.", Verb.HELLO, 1, 1)
+                await client.request(b"nobody here.", Verb.HELLO, 1, 1)
 
 
 async def test_many_at_once_are_not_mixed_up(commanded_suit):
@@ -124,7 +124,9 @@ async def test_many_at_once_are_not_mixed_up(commanded_suit):
         client = CommandClient([suit.link])
         async with client.reading():
             keys = [1, 2, 8, 1, 2]
-            asked = [client.ask(suit.unique_id(n), Verb.READ_SETTING, key) for n in range(4) for key in keys]
+            asked = [
+                client.request(suit.unique_id(n), Verb.READ_SETTING, key) for n in range(4) for key in keys
+            ]
             answers = await asyncio.gather(*asked)
             assert [key for key, _ in answers] == keys * 4
             assert [raw[0] for key, raw in answers if key == 1] == [0, 0, 1, 1, 2, 2, 3, 3]
@@ -149,7 +151,7 @@ async def test_one_dead_link_does_not_keep_a_command_from_the_others(commanded_s
         async with client.reading():
             client.links |= {"dead": DeadLink()}
             client.link_of[suit.unique_id(0)] = "dead"  # it was heard there until a moment ago
-            assert await client.ask(suit.unique_id(0), Verb.HELLO, 1, 1) == (1, 1, 1)
+            assert await client.request(suit.unique_id(0), Verb.HELLO, 1, 1) == (1, 1, 1)
             assert client.link_of[suit.unique_id(0)] == "suit"
 
 
@@ -157,9 +159,9 @@ async def test_no_link_that_takes_a_command_is_the_links_error(monkeypatch):
     monkeypatch.setattr("devices.transactions.SINGLE_WAITS_S", (0.01, 0.01))
     client = CommandClient([DeadLink()])
     with pytest.raises(LinkError, match="dead was unplugged"):
-        await client.ask(b"one.........", Verb.HELLO, 1, 1)
+        await client.request(b"one.........", Verb.HELLO, 1, 1)
     with pytest.raises(LinkError, match="no link"):
-        await CommandClient([]).ask_all(Verb.GET_INFO)
+        await CommandClient([]).request_all(Verb.GET_INFO)
 
 
 def test_two_clients_do_not_begin_with_the_same_number():

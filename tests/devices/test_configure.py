@@ -115,7 +115,7 @@ async def test_who_is_there_is_looked_for_anew_after_an_id_was_changed_and_not_a
 async def test_what_somebody_else_has_staged_is_neither_believed_nor_committed(configured):
     async with configured() as (suit, configurator):
         one = suit.unique_id(1)
-        ask = configurator.client.ask
+        ask = configurator.client.request
         await ask(one, Verb.WRITE_SETTING, RATE, encode_value(RATE, 200.0))
         change = await configurator.write(one, {"sampling_rate": 50.0})
         assert change.before == {"sampling_rate": 100.0}

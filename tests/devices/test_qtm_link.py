@@ -145,7 +145,7 @@ async def test_hung_up_on_or_given_another_file_it_comes_again_with_the_names_of
             await taken(link, receiver, 1)
         renamed = trial(400)
         stand_in.trial = MarkerTrial("other", ("A", "B", "*1", "*2"), 200.0, renamed.positions)
-        stand_in.tell(FILE_STARTED)
+        stand_in.send_event(FILE_STARTED)
         while link.reconnections < 2:
             await taken(link, receiver, 1)
         assert set((await taken(link, receiver, 1))[-1].markers) == {"A", "B"}

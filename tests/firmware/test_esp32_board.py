@@ -101,8 +101,8 @@ async def test_without_its_partition_it_samples_and_says_that_nothing_is_kept(tm
             assert bench.module == 0
             assert await bench.until(lambda: bool(bench.of(InertialSample)), PATIENCE_S)
             key = SETTING_KEYS["label"]
-            await bench.ask(Verb.WRITE_SETTING, key, encoded_setting("label", "new"))
-            answer = await bench.ask(Verb.COMMIT)
+            await bench.request(Verb.WRITE_SETTING, key, encoded_setting("label", "new"))
+            answer = await bench.request(Verb.COMMIT)
     assert answer is not None
     assert answer.result == Result.FLASH_FAILED
 

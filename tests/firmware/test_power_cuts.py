@@ -58,8 +58,8 @@ async def stage_and_cut(
     unique_id = machine.memory.read(0x1800, 12)
     async with client.reading():
         for name, raw in settings.items():
-            await client.ask(unique_id, Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
-        committing = asyncio.create_task(client.ask(unique_id, Verb.COMMIT))
+            await client.request(unique_id, Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
+        committing = asyncio.create_task(client.request(unique_id, Verb.COMMIT))
         begun = time.monotonic()
         await asyncio.wait([committing], timeout=PATIENCE_S if cut_s is None else cut_s)
         is_answered = committing.done()

@@ -125,7 +125,7 @@ async def test_a_file_that_was_cut_short_holds_all_but_the_last_second(relay, tm
     uid = bytes([99] * 12)
     client = CommandClient([link_from_url(relay.url)])
     async with client.reading():
-        await client.ask(uid, Verb.START)
+        await client.request(uid, Verb.START)
         await asyncio.sleep(5.0)  # of recording
         (before,) = await Card(client, uid).files()
     relay.cut_power()

@@ -62,7 +62,7 @@ async def test_what_nobody_reads_is_lost_and_numbers_go_on(module):
     async with bench.reading():
         assert await bench.until(lambda: len(bench.of(InertialSample)) > 20, PATIENCE_S)
     await asyncio.sleep(1.0)
-    before = len(bench.heard)
+    before = len(bench.packets)
     async with bench.reading():
         assert await bench.until(lambda: len(bench.of(InertialSample, before)) > 20, PATIENCE_S)
     numbers = [each.received.sequence for each in bench.of(InertialSample)]

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from devices.emulators.mti_voice import MtiVoice
-from devices.emulators.voice import Sensed
+from devices.emulators.mti_emulator import MtiEmulator
+from devices.emulators.vendor_emulator import Sensed
 from devices.link import Chunk
 from devices.vendor_protocols.mti import Mid, encode
 from firmware_protocol import InertialSample
@@ -25,9 +25,9 @@ def test_what_it_did_not_measure_while_it_was_asked_is_not_lost(is_counted):
     modules = ModuleTable()
     source = MtiSource(SourceContext(load_rig("arm_3"), modules))
     source.add_link("mti", "mti")
-    voice = MtiVoice(0)
+    emulator = MtiEmulator(0)
     if not is_counted:
-        del voice.outputs["packet_counter"]
+        del emulator.outputs["packet_counter"]
 
     def heard(number, data):
         return source.receive(Chunk(data, BEGUN_NS + 10_000_000 * number, "mti"))
@@ -36,10 +36,10 @@ def test_what_it_did_not_measure_while_it_was_asked_is_not_lost(is_counted):
     for number in range(200):
         if number in (50, 60):
             mid = Mid.GO_TO_CONFIG if number == 50 else Mid.GO_TO_MEASUREMENT
-            heard(number, voice.hear(encode(mid), DEVICE))
+            heard(number, emulator.receive(encode(mid), DEVICE))
         if number == 120:  # this one does get lost
             continue
-        said = voice.say(Sensed(10_000 * number, number, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0), None))
+        said = emulator.encode_sample(Sensed(10_000 * number, number, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0), None))
         rows += heard(number, said)
     counter = modules.records[0].counter(InertialSample.KIND)
     assert (counter.received, counter.lost) == (189, 1)

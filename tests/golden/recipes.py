@@ -30,16 +30,16 @@ from devices.emulators import (
     SuitTraffic,
     Transmission,
 )
-from devices.emulators.bno08x_voice import Bno08xVoice
+from devices.emulators.bno08x_emulator import Bno08xEmulator
 from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
 from devices.emulators.light_sampler import Shade
-from devices.emulators.mocopi_voice import mocopi_voices
-from devices.emulators.mti_voice import MtiCanVoice, MtiVoice
-from devices.emulators.mvn_voice import mvn_voices
-from devices.emulators.slimevr_voice import SlimevrVoice
-from devices.emulators.voice import OneSpeaksOtherwise, Voice
-from devices.emulators.witmotion_voice import WitMotionCanVoice, WitMotionVoice
-from devices.emulators.ximu3_voice import Ximu3Voice
+from devices.emulators.mocopi_emulator import mocopi_emulators
+from devices.emulators.mti_emulator import MtiCanEmulator, MtiEmulator
+from devices.emulators.mvn_emulator import mvn_emulators
+from devices.emulators.slimevr_emulator import SlimevrEmulator
+from devices.emulators.vendor_emulator import MixedSuit, VendorEmulator
+from devices.emulators.witmotion_emulator import WitMotionCanEmulator, WitMotionEmulator
+from devices.emulators.ximu3_emulator import Ximu3Emulator
 from devices.link import Chunk, Framing, InputEvent, SentChunk
 from devices.marker_messages import encode_markers
 from devices.recording_writer import DerivedRecordingWriter, session_record
@@ -378,7 +378,7 @@ def ximu3(seconds: float) -> Capture:
     """An arm whose hand wears an x-IMU3, on a link of its own."""
     suit, until_s = load_rig("arm_3"), FROM_S + seconds
     module = suit.module_ids[-1]
-    items = _partly_of_others(suit, until_s, {"hand": Ximu3Voice(module, FIELD_UT)})
+    items = _partly_of_others(suit, until_s, {"hand": Ximu3Emulator(module, FIELD_UT)})
     device = Ximu3LinkSettings(name="hand", url="/dev/null", module=module, field_ut=FIELD_UT)
     framings = {"suit": Framing.BYTE_STREAM, "hand": "ximu3"}
     return Capture(suit, _settings(_link("suit"), device), framings, items)
@@ -388,7 +388,7 @@ def synchronised(seconds: float) -> Capture:
     """An arm of three x-IMU3 that keep their clocks together, over links that delay them differently."""
     suit, until_s = load_rig("arm_3"), FROM_S + seconds
     together = replace(TYPICAL, clock_skew_ppm=0.0, has_random_clock_start=False)
-    worn = replace(_worn_settings(suit), voice=lambda module: Ximu3Voice(module, FIELD_UT))
+    worn = replace(_worn_settings(suit), emulator=lambda module: Ximu3Emulator(module, FIELD_UT))
     names = dict(zip(suit.module_ids, ("trunk", "arm", "hand"), strict=True))
     longer_ns = {name: place * 4_000_000 for place, name in enumerate(names.values())}
     spoken = SuitTraffic(_moving(suit), worn, together, SEED).transmissions(until_s)
@@ -411,7 +411,7 @@ def makers(seconds: float) -> Capture:
     """An arm with a module of our own, an MTi on a serial line and another on a CAN bus."""
     suit, until_s = load_rig("arm_3"), FROM_S + seconds
     _, arm, hand = suit.module_ids
-    others = {"arm": MtiVoice(arm, FIELD_UT), "hand": MtiCanVoice(hand, FIELD_UT)}
+    others = {"arm": MtiEmulator(arm, FIELD_UT), "hand": MtiCanEmulator(hand, FIELD_UT)}
     links = [
         MtiLinkSettings(name="arm", url="/dev/null", module=arm, field_ut=FIELD_UT),
         MtiCanLinkSettings(name="hand", url="/dev/null", module=hand, field_ut=FIELD_UT),
@@ -425,7 +425,7 @@ def unstamped(seconds: float) -> Capture:
     """An arm with a module of our own, a WitMotion on a serial line and another on a CAN bus: no stamps."""
     suit, until_s = load_rig("arm_3"), FROM_S + seconds
     _, arm, hand = suit.module_ids
-    others = {"arm": WitMotionVoice(arm, FIELD_UT), "hand": WitMotionCanVoice(hand, FIELD_UT)}
+    others = {"arm": WitMotionEmulator(arm, FIELD_UT), "hand": WitMotionCanEmulator(hand, FIELD_UT)}
     links = [
         WitMotionLinkSettings(name="arm", url="/dev/null", module=arm),
         WitMotionCanLinkSettings(name="hand", url="/dev/null", module=hand),
@@ -440,9 +440,9 @@ def fused_elsewhere(seconds: float) -> Capture:
     suit, until_s = load_rig("arm_3"), FROM_S + seconds
     trunk, arm, hand = suit.module_ids
     others = {
-        "trunk": Bno08xVoice(trunk, FIELD_UT),
-        "arm": mvn_voices([arm], FIELD_UT)[arm],
-        "hand": mocopi_voices([hand], FIELD_UT)[hand],
+        "trunk": Bno08xEmulator(trunk, FIELD_UT),
+        "arm": mvn_emulators([arm], FIELD_UT)[arm],
+        "hand": mocopi_emulators([hand], FIELD_UT)[hand],
     }
     links = [
         Bno08xLinkSettings(name="trunk", url="/dev/null", module=trunk),
@@ -458,10 +458,10 @@ def fused_elsewhere(seconds: float) -> Capture:
 def slimevr(seconds: float) -> Capture:
     """An arm of three SlimeVR trackers, greeted and pinged by the gateway."""
     suit, until_s = load_rig("arm_3"), FROM_S + seconds
-    voices = {module: SlimevrVoice(module, FIELD_UT) for module in suit.module_ids}
-    worn = replace(_worn_settings(suit), voice=voices.__getitem__)
+    emulators = {module: SlimevrEmulator(module, FIELD_UT) for module in suit.module_ids}
+    worn = replace(_worn_settings(suit), emulator=emulators.__getitem__)
     traffic = SuitTraffic(_moving(suit), worn, TYPICAL, SEED)
-    trackers = {voice.mac: module for module, voice in voices.items()}
+    trackers = {emulator.mac: module for module, emulator in emulators.items()}
     link = SlimevrLinkSettings(name="trackers", url="udp://0.0.0.0:6969", trackers=trackers)
     device, modules = SlimevrDevice(link), ModuleTable()
     modules.add_link(link.name)
@@ -480,11 +480,11 @@ def slimevr(seconds: float) -> Capture:
 
 
 def _partly_of_others(
-    suit: WornSuit, until_s: float, others: Mapping[str, Voice], worn: SuitSettings | None = None
+    suit: WornSuit, until_s: float, others: Mapping[str, VendorEmulator], worn: SuitSettings | None = None
 ) -> list[Item]:
     """What a suit sends of which some modules speak as other makers' do, by the names of their links."""
     traffic = SuitTraffic(_moving(suit), worn or _worn_settings(suit), TYPICAL, SEED)
-    spoken = {link: OneSpeaksOtherwise(voice) for link, voice in others.items()}
+    spoken = {link: MixedSuit(emulator) for link, emulator in others.items()}
     items: list[Item] = []
     for chunk in _reads(traffic.transmissions(until_s), "suit"):
         ours = chunk.data

@@ -60,6 +60,7 @@ def test_a_command_names_the_extra_that_it_lacks_and_how_to_add_it(tmp_path):
         "viewer": ["view", "--port", "1"],
         "biomech": ["analyse", film, "--mass", "70"],
         "plot": ["report", film],
+        "export": ["export", film, "--to", "bvh", "--to", "gltf", "--output", str(tmp_path / "exported")],
         "video": ["video", "solve", film, "--cameras", str(tmp_path / "cameras.yaml")],
         "video ": ["video", "overlay", film, film],
         "video  ": ["video", "serve-camera", film, "--name", "left"],
@@ -69,3 +70,4 @@ def test_a_command_names_the_extra_that_it_lacks_and_how_to_add_it(tmp_path):
         assert status == 1
         assert len(errors.splitlines()) == 1, errors
         assert re.search(rf"pip install (-e )?'\S*\[{extra.strip()}\]'", errors), errors
+    assert not (tmp_path / "exported").exists(), "one format was written before the other was found to lack"

@@ -60,10 +60,10 @@ async def test_a_card_replays_like_live(commanded_suit, tmp_path, until):
         client = CommandClient([link])
         async with client.reading():
             relay = suit.unique_id(RELAY)
-            await client.ask(relay, Verb.START)
+            await client.request(relay, Verb.START)
             recording = suit.traffic.device(RELAY).card
             await until(lambda: recording.entries() and recording.entries()[0].size > CARD_BYTES)
-            await client.ask(relay, Verb.STOP)
+            await client.request(relay, Verb.STOP)
             card = Card(client, relay)
             (entry,) = await card.files()
             await download(card.read, entry, tmp_path / "raw")

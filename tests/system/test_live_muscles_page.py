@@ -28,10 +28,10 @@ from gateway.contract.topics import Topics
 from gateway.outputs.settings import MqttSettings
 from gateway.viewer import muscle_wires
 from gateway.viewer.live import LiveViewer
-from gateway.viewer.texts import ENGLISH, say
+from gateway.viewer.texts import ENGLISH, translated
 from tests.patience import PATIENCE_S
 
-NOT_PLACED = say(ENGLISH, "muscles_not_placed")
+NOT_PLACED = translated(ENGLISH, "muscles_not_placed")
 
 pytestmark = pytest.mark.system
 BODY = load_rig("suit_17").skeleton

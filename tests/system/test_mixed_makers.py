@@ -10,9 +10,9 @@ import pytest
 
 from devices.emulators.imperfections import TYPICAL
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
-from devices.emulators.voice import OneSpeaksOtherwise
-from devices.emulators.witmotion_voice import WitMotionVoice
-from devices.emulators.ximu3_voice import Ximu3Voice
+from devices.emulators.vendor_emulator import MixedSuit
+from devices.emulators.witmotion_emulator import WitMotionEmulator
+from devices.emulators.ximu3_emulator import Ximu3Emulator
 from devices.link import Chunk
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
@@ -46,18 +46,18 @@ class Worn:
         self.ids = {names[s]: self.suit.module_ids[row] for s, row in enumerate(rows) if row >= 0}
         self.motion = move_about(dress(self.suit), self.suit.skeleton.name, 1)
         arms = [name for name in self.ids if name.endswith(("upper_arm", "forearm"))]
-        self.others = {"pelvis": Ximu3Voice(self.ids["pelvis"], FIELD_UT)}
-        self.others |= {name: WitMotionVoice(self.ids[name], FIELD_UT) for name in arms}
+        self.others = {"pelvis": Ximu3Emulator(self.ids["pelvis"], FIELD_UT)}
+        self.others |= {name: WitMotionEmulator(self.ids[name], FIELD_UT) for name in arms}
         self.said = list(self._spoken(seconds))
         """(s, link, bytes) in order of arrival."""
 
     def _spoken(self, seconds):
         traffic = SuitTraffic(self.motion, SuitSettings(), TYPICAL, 1)
-        voices = {link: OneSpeaksOtherwise(voice) for link, voice in self.others.items()}
+        emulators = {link: MixedSuit(emulator) for link, emulator in self.others.items()}
         for sent in traffic.transmissions(seconds):
             ours = sent.data
-            for link, voice in voices.items():
-                ours, theirs = voice.feed(ours)
+            for link, emulator in emulators.items():
+                ours, theirs = emulator.feed(ours)
                 if theirs:
                     yield sent.time_s, link, theirs
             if ours:

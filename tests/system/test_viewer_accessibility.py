@@ -12,7 +12,7 @@ from gateway.body.rig import load_rig
 from gateway.contract.messages import BridgeState, describe_body
 from gateway.contract.topics import Topics
 from gateway.outputs.settings import MqttSettings
-from gateway.viewer.texts import LANGUAGES, say
+from gateway.viewer.texts import LANGUAGES, translated
 from tests.accessible_page import grave_findings
 from tests.shown_page import SIZES, browser_of, choose, new_page, open_tab, page_of
 from tests.suit_service import GATEWAY
@@ -38,9 +38,9 @@ async def test_axe_finds_nothing_serious_on_any_tab(mosquitto, unused_port, chro
             for name, language in LANGUAGES.items():
                 await choose(page, 0, name)
                 for tab in TABS:
-                    await open_tab(page, say(language, tab))
+                    await open_tab(page, translated(language, tab))
                     found += await grave_findings(page, f"{name}, {tab}")
-                await open_tab(page, say(language, "view"))
+                await open_tab(page, translated(language, "view"))
             assert not found, "\n".join(found)
 
 

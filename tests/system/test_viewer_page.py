@@ -16,6 +16,7 @@ from gateway.outputs.settings import MqttSettings
 from tests.patience import PATIENCE_S
 from tests.shown_page import SIZES, TOKEN, browser_of, choose, new_page, open_tab, page_of
 from tests.suit_service import GATEWAY, started, suit_config
+from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
 SKELETON = load_rig("suit_17").skeleton
@@ -55,6 +56,22 @@ async def test_the_page_shows_a_moving_body_and_says_when_nothing_comes(mosquitt
                 url for url in requested if url.startswith("blob:")
             }
         await publishing
+
+
+def test_no_address_is_printed_where_there_is_no_broker():
+    code, output, errors = typed_here(["view", "--port", free_port(), "--page-port", free_port()])
+    assert (code, output) == (1, "")
+    assert "no MQTT broker" in errors
+
+
+async def test_on_a_phone_a_tab_begins_right_below_the_tabs(mosquitto, unused_port, chromium):
+    async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium, (390, 844)) as (page, _):
+        await open_tab(page, "Plot")
+        chooser = page.locator("input[role=combobox]").filter(visible=True).first
+        await chooser.wait_for()
+        tabs, first = await page.get_by_role("tablist").bounding_box(), await chooser.bounding_box()
+        assert first["y"] - (tabs["y"] + tabs["height"]) < 40
+        assert await page.get_by_role("button", name="mark", exact=True).filter(visible=True).count() == 0
 
 
 async def test_a_gateway_that_has_no_suit_yet_is_shown_and_where_to_begin(

@@ -12,7 +12,7 @@ from devices.emulators.emulated_suit import EmulatedSuit
 from devices.emulators.imperfections import TYPICAL
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import CanBusTransport, LinkPerDevice
-from devices.emulators.witmotion_voice import witmotion_can_voices
+from devices.emulators.witmotion_emulator import witmotion_can_emulators
 from devices.endpoints import link_from_url
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
@@ -33,9 +33,12 @@ async def bus(request):
     """The settings of three links to one bus, on which three emulated devices move."""
     suit = load_rig(RIG)
     channel = f"witmotion-{request.node.name}"
-    voices = witmotion_can_voices(suit.module_ids, 49.0)
+    emulators = witmotion_can_emulators(suit.module_ids, 49.0)
     traffic = SuitTraffic(
-        move_about(dress(suit), suit.skeleton.name, 1), SuitSettings(voice=voices.__getitem__), TYPICAL, 1
+        move_about(dress(suit), suit.skeleton.name, 1),
+        SuitSettings(emulator=emulators.__getitem__),
+        TYPICAL,
+        1,
     )
     transports = {module: CanBusTransport(channel) for module in suit.module_ids}
     emulated = EmulatedSuit(traffic, LinkPerDevice(transports))
@@ -43,7 +46,7 @@ async def bus(request):
     yield [
         WitMotionCanLinkSettings(
             name=str(module), url=f"can://virtual/{channel}", module=module, rate_hz=100,
-            **voices[module].link_settings,
+            **emulators[module].link_settings,
         )
         for module in suit.module_ids
     ]  # fmt: skip

@@ -10,8 +10,8 @@ import numpy as np
 from devices.emulators.imperfections import Imperfections
 from devices.emulators.motions import generic_motion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
-from devices.emulators.voice import OneSpeaksOtherwise
-from devices.emulators.ximu3_voice import Ximu3Voice
+from devices.emulators.vendor_emulator import MixedSuit
+from devices.emulators.ximu3_emulator import Ximu3Emulator
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
 from gateway.emulation.rig import dress
@@ -30,9 +30,9 @@ FIELD_UT = 49.0
 def spoken(motion, module):
     """(s, messages) of a module that moves so."""
     traffic = SuitTraffic(motion, SuitSettings(), Imperfections(), 1)
-    voice = OneSpeaksOtherwise(Ximu3Voice(module, FIELD_UT))
+    emulator = MixedSuit(Ximu3Emulator(module, FIELD_UT))
     for sent in traffic.transmissions(SECONDS):
-        _, data = voice.feed(sent.data)
+        _, data = emulator.feed(sent.data)
         if data:
             yield sent.time_s, data
 

@@ -46,7 +46,7 @@ class Adjusted:
     model: BodyModel
     poses: list[Pose]
     rmse: float
-    """m, over all markers seen, each with the say it had."""
+    """m, over all markers seen, each with its robust weight."""
     steps: int
 
 
@@ -128,18 +128,18 @@ def own_markers(model: BodyModel) -> IntArray:
 
 
 def weighted_rmse(poses: list[Pose]) -> float:
-    """Root mean square of the residuals, m, weighted by the say of each."""
-    say = np.array([pose.weights for pose in poses])
+    """Root mean square of the residuals, m, by their robust weights."""
+    robust_weights = np.array([pose.weights for pose in poses])
     squares = np.nan_to_num(np.array([pose.residuals for pose in poses])) ** 2
-    return float(np.sqrt((say * squares).sum() / max(say.sum(), 1e-12)))
+    return float(np.sqrt((robust_weights * squares).sum() / max(robust_weights.sum(), 1e-12)))
 
 
 def with_sigmas(model: BodyModel, poses: list[Pose], smallest: float) -> BodyModel:
     """Return the model with every marker's σ as its residuals show it, per coordinate, m, not below
     ``smallest``."""
-    say = np.array([pose.weights for pose in poses])
+    robust_weights = np.array([pose.weights for pose in poses])
     squares = np.nan_to_num(np.array([pose.residuals for pose in poses])) ** 2
-    mean = (say * squares).sum(axis=0) / np.maximum(say.sum(axis=0), 1e-12)
+    mean = (robust_weights * squares).sum(axis=0) / np.maximum(robust_weights.sum(axis=0), 1e-12)
     return model._replace(sigmas=np.maximum(np.sqrt(mean / 3.0), smallest))
 
 

@@ -28,15 +28,15 @@ def eliminate(
     With H = L Lᵀ of the pose, C its coupling to the constants and g its gradient: X = L⁻¹ C and x = L⁻¹ g,
     schur += Jᵀ W J − Xᵀ X, right += Jᵀ W r − Xᵀ x. Returns L, X, x. (No BLAS: its threads cost more here.)
     """
-    say, R, schur, right = pose.weights, pose.R, reduced.schur, reduced.right
+    robust_weights, R, schur, right = pose.weights, pose.R, reduced.schur, reduced.right
     p = kernels.places(model.parents, model.offsets, R, pose.root)
-    L, x, _ = normal_equations(model, observed, say, R, p)
+    L, x, _ = normal_equations(model, observed, robust_weights, R, p)
     kernels.mirrored(L)
     n, m = len(x), len(right)
     for i in range(n):
         L[i, i] += 1e-6 * L[i, i] + 1e-9
     kernels.cholesky(L)
-    moving, constant, weights, residual = jacobians(model, observed, say, R, p)
+    moving, constant, weights, residual = jacobians(model, observed, robust_weights, R, p)
     X = np.zeros((n, m))
     for row in range(len(weights)):
         filled = np.flatnonzero(constant[row])
@@ -73,7 +73,7 @@ def back_substituted(L: FloatArray, X: FloatArray, x: FloatArray, delta: FloatAr
 
 @compiled
 def jacobians(
-    model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray
+    model: BodyModel, observed: FloatArray, robust_weights: FloatArray, R: FloatArray, p: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Of all markers by the pose (3 M, 3 + 3 S) and by the constants (3 M, 3 (S−1) + 3 M); weights,
     residuals.
@@ -86,12 +86,12 @@ def jacobians(
     weights, residual = np.zeros(3 * n_markers), np.zeros(3 * n_markers)
     y = kernels.marker_places(model.segments, model.positions, R, p)
     for m in range(n_markers):
-        if not say[m] > 0.0:
+        if not robust_weights[m] > 0.0:
             continue
         s = model.segments[m]
         for i in range(3):
             row = 3 * m + i
-            weights[row] = say[m] / model.sigmas[m] ** 2
+            weights[row] = robust_weights[m] / model.sigmas[m] ** 2
             residual[row] = observed[m, i] - y[m, i]
             moving[row, i] = 1.0
             for j in range(3):

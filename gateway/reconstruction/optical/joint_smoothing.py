@@ -79,8 +79,8 @@ def information(parents: IntArray, R: FloatArray, covariance: FloatArray) -> Flo
     ``markers_covariance``."""
     turns = np.stack([covariance[k : k + 3, k : k + 3] for k in range(3, len(covariance), 3)])
     values, vectors = np.linalg.eigh(np.swapaxes(R, 1, 2) @ turns @ R)
-    told = np.where(parents >= 0, _WEAK, 0.0)[:, None]
-    new = np.where(told * values < _FORGOTTEN, 1.0 / values - told, 0.0)
+    weak = np.where(parents >= 0, _WEAK, 0.0)[:, None]
+    new = np.where(weak * values < _FORGOTTEN, 1.0 / values - weak, 0.0)
     found: FloatArray = (vectors * np.maximum(new, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     return found
 

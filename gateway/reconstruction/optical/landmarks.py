@@ -108,7 +108,7 @@ def measurements(
     _refuse_unknown(marker_set, "angle", angles, marker_set.file.angles)
     lengths, assumed, counting = dict(given), [], marker_set.counting()
     for name, entry in known.items():
-        told = [
+        measured = [
             trial.parameters[parameter] * trial.metres_per_unit
             for trial in trials
             for parameter in entry.parameters
@@ -116,8 +116,8 @@ def measurements(
         ]
         if name in lengths:
             continue
-        if told:
-            lengths[name] = float(np.mean(told))
+        if measured:
+            lengths[name] = float(np.mean(measured))
         elif entry.default_m is not None:
             lengths[name] = entry.default_m
             if name in counting:

@@ -68,7 +68,7 @@ class Perpendicular(_Strict):
     width: Length | None = Field(default=None, description="by half of it and the marker's radius")
 
     @model_validator(mode="after")
-    def _tells_one(self) -> Perpendicular:
+    def _has_one_length(self) -> Perpendicular:
         if (self.by is None) == (self.width is None):
             raise ValueError("either 'by' or 'width' is wanted")
         return self
@@ -89,7 +89,7 @@ class Chord(_Strict):
     side: Side | None = Field(default=None, description="with wand_angle: of which leg")
 
     @model_validator(mode="after")
-    def _tells_one(self) -> Chord:
+    def _has_consistent_lengths(self) -> Chord:
         if (self.width is None) == (self.offset is None):
             raise ValueError("either 'width' or 'offset' is wanted")
         if (self.wand_angle is None) != (self.side is None):

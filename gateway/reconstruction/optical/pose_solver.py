@@ -3,7 +3,7 @@
 Levenberg–Marquardt (Marquardt 1963) on ½ Σ ρ(|r_m| / σ_m) plus what the joints are allowed, by the normal
 equations of ``kernels``. ρ is the Geman–McClure function (Black & Rangarajan 1996, Int. J. Comput. Vis.
 19(1)):
-a marker far from where the body can have it loses its say, so that swapped and ghost markers do no harm.
+a marker far from where the body can have it loses its weight, so that swapped and ghost markers do no harm.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Seen(NamedTuple):
 
     observed: FloatArray  # (M, 3) m; NaN rows: not seen
     trust: FloatArray  # (M,) 0 leaves a marker out, 1 takes it
-    scale: float  # m, distance at which a marker begins to lose its say
+    scale: float  # m, distance at which a marker begins to lose its weight
 
 
 _NOWHERE = np.zeros(3)
@@ -78,7 +78,7 @@ class Pose(NamedTuple):
     R: FloatArray  # (S, 3, 3) segment to world
     root: FloatArray  # (3,) m
     residuals: FloatArray  # (M,) m, distance of measured and virtual marker; NaN: not seen
-    weights: FloatArray  # (M,) 0 … 1: the say that a marker had
+    weights: FloatArray  # (M,) 0 … 1: robust weight of each marker
     factor: FloatArray  # (3 + 3 S, 3 + 3 S) lower Cholesky factor of the normal matrix
     iterations: int
 
@@ -118,11 +118,13 @@ def everyone(observed: FloatArray, scale: float) -> Seen:
 
 
 @compiled
-def _cost(model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray) -> float:
+def _cost(
+    model: BodyModel, observed: FloatArray, robust_weights: FloatArray, R: FloatArray, p: FloatArray
+) -> float:
     """Return ½ Σ w r² of the markers, with the weights of the step before, plus the joints."""
     total = 0.0
     for m in range(len(observed)):
-        if say[m] > 0.0:
+        if robust_weights[m] > 0.0:
             s = model.segments[m]
             r = observed[m] - p[s]
             for i in range(3):
@@ -131,7 +133,7 @@ def _cost(model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray
                     + R[s, i, 1] * model.positions[m, 1]
                     + R[s, i, 2] * model.positions[m, 2]
                 )
-            total += 0.5 * say[m] * dot(r, r) / model.sigmas[m] ** 2
+            total += 0.5 * robust_weights[m] * dot(r, r) / model.sigmas[m] ** 2
     return total
 
 
@@ -163,15 +165,15 @@ def add_held(
 
 @compiled
 def normal_equations(
-    model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray
+    model: BodyModel, observed: FloatArray, robust_weights: FloatArray, R: FloatArray, p: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return H (upper triangle), g, and the cost of the joints."""
     n = 3 + 3 * len(model.parents)
     H, g = np.zeros((n, n)), np.zeros(n)
     y = kernels.marker_places(model.segments, model.positions, R, p)
     for m in range(len(observed)):
-        if say[m] > 0.0:
-            weight = say[m] / model.sigmas[m] ** 2
+        if robust_weights[m] > 0.0:
+            weight = robust_weights[m] / model.sigmas[m] ** 2
             marker = kernels.MarkerRow(model.segments[m], y[m], observed[m] - y[m], weight)
             kernels.add_marker(H, g, model.parents, p, marker)
     cost = 0.0
@@ -185,19 +187,19 @@ def normal_equations(
 
 
 @compiled
-def _say(model: BodyModel, seen: Seen, y: FloatArray) -> FloatArray:
+def _robust_weights(model: BodyModel, seen: Seen, y: FloatArray) -> FloatArray:
     """Return Geman–McClure weights (1 + (r / c)²)⁻², times the trust given; 0 where a marker was not seen.
 
     c: the scale, and four times a marker's own σ at the least.
     """
     observed = seen.observed
-    say = np.zeros(len(observed))
+    robust_weights = np.zeros(len(observed))
     for m in range(len(observed)):
         if is_finite(observed[m]) and seen.trust[m] > 0.0:
             c = max(seen.scale, 4.0 * model.sigmas[m])
             r = norm(observed[m] - y[m]) / c
-            say[m] = seen.trust[m] / (1.0 + r * r) ** 2
-    return say
+            robust_weights[m] = seen.trust[m] / (1.0 + r * r) ** 2
+    return robust_weights
 
 
 @compiled
@@ -211,8 +213,8 @@ def solve_pose(
     observed = seen.observed
     p = kernels.places(model.parents, model.offsets, R, root)
     y = kernels.marker_places(model.segments, model.positions, R, p)
-    say = _say(model, seen, y)
-    H, g, joints = normal_equations(model, observed, say, R, p)
+    robust_weights = _robust_weights(model, seen, y)
+    H, g, joints = normal_equations(model, observed, robust_weights, R, p)
     joints += add_held(H, g, model, R, root, held)
     damping = _FIRST_DAMPING
     steps = 0
@@ -228,22 +230,22 @@ def solve_pose(
         delta = kernels.substituted(L, g)
         R_new, root_new = kernels.moved(model.parents, R, root, delta)
         p_new = kernels.places(model.parents, model.offsets, R_new, root_new)
-        before = _cost(model, observed, say, R, p) + joints
-        H_new, g_new, joints_new = normal_equations(model, observed, say, R_new, p_new)
+        before = _cost(model, observed, robust_weights, R, p) + joints
+        H_new, g_new, joints_new = normal_equations(model, observed, robust_weights, R_new, p_new)
         joints_new += add_held(H_new, g_new, model, R_new, root_new, held)
-        after = _cost(model, observed, say, R_new, p_new) + joints_new
+        after = _cost(model, observed, robust_weights, R_new, p_new) + joints_new
         if after > before * (1.0 + 1e-12):
             damping = max(10.0 * damping, 1e-4)
             continue
         R, root, p, joints = R_new, root_new, p_new, joints_new
         damping = max(_FIRST_DAMPING, 0.2 * damping)
         y = kernels.marker_places(model.segments, model.positions, R, p)
-        say = _say(model, seen, y)
-        H, g, joints = normal_equations(model, observed, say, R, p)
+        robust_weights = _robust_weights(model, seen, y)
+        H, g, joints = normal_equations(model, observed, robust_weights, R, p)
         joints += add_held(H, g, model, R, root, held)
         if np.max(np.abs(delta)) < _SMALLEST_STEP or before - after < _SMALLEST_GAIN * before:
             break
-    return Pose(R, root, _residuals(observed, y), say, _factor(H), steps)
+    return Pose(R, root, _residuals(observed, y), robust_weights, _factor(H), steps)
 
 
 @compiled

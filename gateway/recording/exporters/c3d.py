@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.extras import how_to_add
-from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.recording.exporters.take import Take, markers_of, rotation
+from gateway.support.extras import require_package
 
 _UNITS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 
@@ -21,10 +20,9 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     markers that the poses were made from, with their distances from the body as residuals (negative: not
     seen). The segments' 4 × 4 matrices stand under ROTATION.
     """
-    try:
-        import ezc3d  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise GatewayError(f"C3D needs the extra 'export': {how_to_add('export')}") from None
+    require_package("ezc3d")
+    import ezc3d  # noqa: PLC0415 - an extra
+
     segments, joints = take.skeleton.segment_names, [joint.name for joint in take.skeleton.joints]
     angle_labels = [f"{name}_angles" for name in joints]
     places = np.concatenate([take.p_w, take.tips_w], axis=1) * units_per_m

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from devices.deferred import Deferred
+from gateway.errors import GatewayError
 from gateway.recording.exporters.axes import Axes
+from gateway.support.extras import require_package
 
 if TYPE_CHECKING:
     from gateway.recording.exporters.take import Take
@@ -24,8 +26,29 @@ class Format:
     """World axes unless others are asked for."""
     units_per_m: float
     """Length unit unless another is asked for: 1 m, 100 cm, 1000 mm."""
-    write: Callable[[Take, Path, float], None]
+    writer: Callable[[Take, Path, float], None]
     """Take, file, units per metre."""
+    package: str = ""
+    """What it needs that is not always installed; empty: nothing."""
+    follows: str = ""
+    """The convention that leaves no choice of axes and unit; empty: there is one."""
+
+    def check(self, axes: Axes, units_per_m: float) -> None:
+        """Raise ``GatewayError`` without the package that it needs, and for axes or a unit that such files
+        never have."""
+        if self.package:
+            require_package(self.package)
+        if self.follows and (axes is not self.axes or units_per_m != self.units_per_m):
+            raise GatewayError(
+                f"a {self.suffix} file has metres and z up ({self.follows}), not {units_per_m:g} units a "
+                f"metre and {axes.value}: leave --axes and --unit out"
+            )
+
+    def write(self, take: Take, path: Path, units_per_m: float) -> None:
+        """Write a file. Raises as ``check`` does, ``GatewayError`` for a take that the format cannot hold,
+        and ``OSError``."""
+        self.check(take.axes, units_per_m)
+        self.writer(take, path, units_per_m)
 
 
 def _writer(name: str) -> Deferred:
@@ -37,7 +60,9 @@ FORMATS: dict[str, Format] = {
     "bvh": Format(
         ".bvh", "skeleton with joint rotations, for animation", Axes.Y_UP, 100.0, _writer("bvh.write")
     ),
-    "c3d": Format(".c3d", "joint centres, rotations, joint angles", Axes.Z_UP, 1000.0, _writer("c3d.write")),
+    "c3d": Format(
+        ".c3d", "joint centres, rotations, joint angles", Axes.Z_UP, 1000.0, _writer("c3d.write"), "ezc3d"
+    ),
     "sto": Format(
         ".sto", "orientations for OpenSim (OpenSense)", Axes.Y_UP, 1.0, _writer("opensim.write_sto")
     ),
@@ -47,15 +72,41 @@ FORMATS: dict[str, Format] = {
     ),
     "trc": Format(".trc", "joint centres as markers", Axes.Y_UP, 1000.0, _writer("trc.write")),
     "csv": Format(".csv", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_csv")),
-    "parquet": Format(".parquet", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_parquet")),
+    "parquet": Format(
+        ".parquet", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_parquet"), "pyarrow"
+    ),
     "gltf": Format(
-        ".glb", "animated skeleton, for browsers and 3-D programs", Axes.Y_UP, 1.0, _writer("gltf.write")
+        ".glb",
+        "animated skeleton, for browsers and 3-D programs",
+        Axes.Y_UP,
+        1.0,
+        _writer("gltf.write"),
+        "pygltflib",
     ),
     "ros2": Format(
-        ".ros2.mcap", "bag of ROS 2: transforms, joints, modules", Axes.Z_UP, 1.0, _writer("ros2.write")
+        ".ros2.mcap",
+        "bag of ROS 2: transforms, joints, modules",
+        Axes.Z_UP,
+        1.0,
+        _writer("ros2.write"),
+        follows="REP 103",
     ),
     "foxglove": Format(
-        ".foxglove.mcap", "body and joint angles for Foxglove", Axes.Z_UP, 1.0, _writer("foxglove.write")
+        ".foxglove.mcap",
+        "body and joint angles for Foxglove",
+        Axes.Z_UP,
+        1.0,
+        _writer("foxglove.write"),
+        "foxglove",
+        "REP 103",
     ),
 }
 """By name on the command line."""
+
+
+def check_formats(names: Iterable[str]) -> None:
+    """Raise ``GatewayError`` for the first format that is unknown, or that lacks its package."""
+    for name in names:
+        if name not in FORMATS:
+            raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
+        FORMATS[name].check(FORMATS[name].axes, FORMATS[name].units_per_m)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from gateway.contract.foxglove_messages import ANGLES, SCENE, TRANSFORMS, FoxgloveEncoder
-from gateway.recording.exporters.message_file import MessageFile, check_axes, poses_of
+from gateway.recording.exporters.message_file import MessageFile, poses_of
 from gateway.recording.exporters.take import Take
 
 _SCENE_EVERY_NS = 5_000_000_000
@@ -14,11 +14,8 @@ _SCENE_EVERY_NS = 5_000_000_000
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
-    """Write a take as MCAP for Foxglove.
-
-    Raises ``GatewayError`` without the extra ``foxglove`` and for other axes or units, ``OSError``.
-    """
-    check_axes(take, units_per_m, "a file for Foxglove")
+    """Write a take as MCAP for Foxglove: metres, z up. Raises ``GatewayError`` without the extra
+    ``foxglove``, ``OSError``."""
     encoder = FoxgloveEncoder(take.skeleton)
     with MessageFile(path, "") as file:
         transforms = file.channel(TRANSFORMS, encoder.schema("FrameTransforms"), "protobuf")

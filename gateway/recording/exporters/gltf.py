@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.extras import how_to_add
 from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
-from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.recording.exporters.take import Take, rotation
+from gateway.support.extras import require_package
 
 _FLOAT, _UNSIGNED_INT, _UNSIGNED_SHORT = 5126, 5125, 5123
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
@@ -25,10 +24,9 @@ _SKIN_COLOUR = [0.35, 0.6, 0.85, 1.0]
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
     """Write a take as binary glTF. Raises ``GatewayError`` without the extra ``export``, ``OSError``."""
-    try:
-        import pygltflib  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise GatewayError(f"glTF needs the extra 'export': {how_to_add('export')}") from None
+    require_package("pygltflib")
+    import pygltflib  # noqa: PLC0415 - an extra
+
     document = _Document(pygltflib)
     document.add_skeleton(take, units_per_m)
     document.add_body(take, units_per_m)

@@ -12,9 +12,7 @@ from mcap.writer import CompressionType, Writer
 
 import gateway
 from devices.link import Chunk, SentChunk
-from gateway.errors import GatewayError
 from gateway.frames import FloatArray, InertialBatch
-from gateway.recording.exporters.axes import Axes
 from gateway.recording.exporters.take import Take
 from gateway.recording.reading import Recording
 from gateway.recording.solving import recorded_source, recording_pipeline
@@ -77,15 +75,6 @@ class MessageFile:
         with self._file:
             if kind is None:
                 self._writer.finish()  # type: ignore[no-untyped-call]
-
-
-def check_axes(take: Take, units_per_m: float, what: str) -> None:
-    """Raise ``GatewayError`` for a world or unit that such files never have."""
-    if take.axes is not Axes.Z_UP or units_per_m != 1.0:
-        raise GatewayError(
-            f"{what} has metres and z up (REP 103), not {units_per_m:g} units a metre and {take.axes.value}: "
-            "leave --axes and --unit out"
-        )
 
 
 def poses_of(take: Take) -> Iterator[Pose]:

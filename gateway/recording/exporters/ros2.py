@@ -15,7 +15,7 @@ import numpy as np
 from gateway.body.skeleton import WornSuit
 from gateway.contract import ros_messages as ros
 from gateway.geometry import quaternion
-from gateway.recording.exporters.message_file import MessageFile, check_axes, poses_of, samples_of
+from gateway.recording.exporters.message_file import MessageFile, poses_of, samples_of
 from gateway.recording.exporters.take import Take
 
 BODY = "mocap"
@@ -34,11 +34,7 @@ _LATCHED = """- history: keep_last
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
-    """Write a take as a bag of ROS 2.
-
-    Raises ``GatewayError`` for other axes or units than ROS has, ``OSError``.
-    """
-    check_axes(take, units_per_m, "a bag of ROS 2")
+    """Write a take as a bag of ROS 2: metres, z up. Raises ``OSError``."""
     with MessageFile(path, "ros2") as file:
         body = _Body(file, take)
         poses = poses_of(take)

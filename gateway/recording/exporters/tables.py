@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.extras import how_to_add
-from gateway.errors import GatewayError
 from gateway.frames import Status
 from gateway.recording.exporters.take import Take, markers_of
+from gateway.support.extras import require_package
 
 _LENGTHS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 _STATUS = np.array([status.name.lower() for status in Status])
@@ -85,11 +84,10 @@ def write_parquet_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None
 
     Raises ``GatewayError`` without the extra ``export``, ``OSError``.
     """
-    try:
-        import pyarrow  # noqa: PLC0415 - an extra
-        import pyarrow.parquet  # noqa: PLC0415
-    except ImportError:
-        raise GatewayError(f"Parquet needs the extra 'export': {how_to_add('export')}") from None
+    require_package("pyarrow")
+    import pyarrow  # noqa: PLC0415 - an extra
+    import pyarrow.parquet  # noqa: PLC0415
+
     pyarrow.parquet.write_table(pyarrow.table(dict(table)), path)
 
 

@@ -45,10 +45,10 @@ class GnssSource(ListeningSource):
 
     def add_link(self, name: str, content: str) -> None:
         """Announce a receiver; one that the configuration does not name has the defaults."""
-        told = self._links.get(name)
+        settings = self._links.get(name)
         params = GnssParams()
-        if isinstance(told, GnssLinkSettings):
-            params = GnssParams(told.device, round(told.latency_ms * 1e6), told.origin)
+        if isinstance(settings, GnssLinkSettings):
+            params = GnssParams(settings.device, round(settings.latency_ms * 1e6), settings.origin)
         self._receivers[name] = GnssReceiver(params)
 
     def receive(self, chunk: Chunk) -> Sequence[LocalReading]:
@@ -80,7 +80,7 @@ class GnssReceiver:
         self._delays: deque[tuple[int, int]] = deque()  # (arrival, delay), delays rising: a sliding minimum
         self._fixes = self._without_fix = 0
         self._quality = 0
-        self._heard_ns = self._now_ns = 0
+        self._received_ns = self._now_ns = 0
         self._sigma_m = float("nan")
 
     def receive(self, chunk: Chunk) -> list[LocalReading]:
@@ -88,7 +88,7 @@ class GnssReceiver:
         self._now_ns = chunk.arrived_ns
         readings: list[LocalReading] = []
         for fix in self._decoder.feed(chunk.data):
-            self._heard_ns = chunk.arrived_ns
+            self._received_ns = chunk.arrived_ns
             if not fix.quality:
                 self._quality = 0
                 self._without_fix += 1
@@ -136,7 +136,7 @@ class GnssReceiver:
 
     def statistics(self) -> dict[str, object]:
         """Return state, quality, standard deviation (m) and counters, for the health message."""
-        is_silent = self._now_ns - self._heard_ns > SILENT_NS or not self._heard_ns
+        is_silent = self._now_ns - self._received_ns > SILENT_NS or not self._received_ns
         return {
             "device": self._params.device,
             "state": "silent" if is_silent else "fix" if self._quality else "no fix",

@@ -42,7 +42,7 @@ class GnssDefect(Enum):
 
 @dataclass(frozen=True)
 class Fix:
-    """What one message says. None: not said."""
+    """What one message says. None: not parsed."""
 
     utc: datetime | None
     quality: int
@@ -101,49 +101,49 @@ class GnssDecoder:
     def _nmea(self, message: bytes) -> Fix | None:
         if b"*" not in message:
             raise ValueError("no checksum")
-        said: Any = NMEAReader.parse(message)
-        if said.msgID == "GGA":
-            return self._gga(said)
-        if said.msgID == "RMC":
-            return self._rmc(said)
-        if said.msgID == "GST" and said.time and "" not in (said.stdLong, said.stdLat, said.stdAlt):
-            self._accuracy = said.time, (float(said.stdLong), float(said.stdLat), float(said.stdAlt))
-        elif said.msgID != "GST":
+        parsed: Any = NMEAReader.parse(message)
+        if parsed.msgID == "GGA":
+            return self._gga(parsed)
+        if parsed.msgID == "RMC":
+            return self._rmc(parsed)
+        if parsed.msgID == "GST" and parsed.time and "" not in (parsed.stdLong, parsed.stdLat, parsed.stdAlt):
+            self._accuracy = parsed.time, (float(parsed.stdLong), float(parsed.stdLat), float(parsed.stdAlt))
+        elif parsed.msgID != "GST":
             self.dropped[GnssDefect.UNUSED] += 1
         return None
 
-    def _gga(self, said: Any) -> Fix:
-        quality = int(said.quality or 0)
-        utc = self._utc(said.time)
-        if not quality or "" in (said.lat, said.lon, said.alt):
+    def _gga(self, parsed: Any) -> Fix:
+        quality = int(parsed.quality or 0)
+        utc = self._utc(parsed.time)
+        if not quality or "" in (parsed.lat, parsed.lon, parsed.alt):
             return Fix(utc, 0)
-        place = float(said.lat), float(said.lon), float(said.alt) + float(said.sep or 0.0)
-        return Fix(utc, quality, _checked(place), self._sigma(said, quality))
+        place = float(parsed.lat), float(parsed.lon), float(parsed.alt) + float(parsed.sep or 0.0)
+        return Fix(utc, quality, _checked(place), self._sigma(parsed, quality))
 
-    def _sigma(self, said: Any, quality: int) -> tuple[float, float, float]:
+    def _sigma(self, parsed: Any, quality: int) -> tuple[float, float, float]:
         """Return the standard deviations east, north and up of a fix, m.
 
         They come from a recent GST sentence; without one, from HDOP and the range error that is usual for
         ``quality``.
         """
-        if self._accuracy is not None and said.time:
+        if self._accuracy is not None and parsed.time:
             # GST carries the time of day only: the shorter way round midnight is the true difference.
-            since = abs(_of_day(said.time) - _of_day(self._accuracy[0]))
+            since = abs(_of_day(parsed.time) - _of_day(self._accuracy[0]))
             if min(since, 86400.0 - since) < ACCURACY_HOLDS_S:
                 return self._accuracy[1]
-        error = RANGE_ERROR_M.get(quality, PLAIN_RANGE_ERROR_M) * max(float(said.HDOP or 2.0), 0.5)
+        error = RANGE_ERROR_M.get(quality, PLAIN_RANGE_ERROR_M) * max(float(parsed.HDOP or 2.0), 0.5)
         return error / math.sqrt(2.0), error / math.sqrt(2.0), 1.5 * error
 
-    def _rmc(self, said: Any) -> Fix | None:
-        if isinstance(said.date, date):
-            self._date = said.date
-        if said.status != "A" or said.spd == "":
+    def _rmc(self, parsed: Any) -> Fix | None:
+        if isinstance(parsed.date, date):
+            self._date = parsed.date
+        if parsed.status != "A" or parsed.spd == "":
             return None
-        speed = float(said.spd) * KNOT
-        course = math.radians(float(said.cog or 0.0))
+        speed = float(parsed.spd) * KNOT
+        course = math.radians(float(parsed.cog or 0.0))
         velocity = speed * math.sin(course), speed * math.cos(course), 0.0
         sigma = UNKNOWN_SPEED_ERROR, UNKNOWN_SPEED_ERROR, NO_VERTICAL_SPEED
-        return Fix(self._utc(said.time), 1, velocity=velocity, velocity_sigma=sigma)
+        return Fix(self._utc(parsed.time), 1, velocity=velocity, velocity_sigma=sigma)
 
     def _utc(self, at: time | str) -> datetime | None:
         """Return a time of day with the date of the last RMC sentence; None without a time or before the
@@ -154,28 +154,30 @@ class GnssDecoder:
         return datetime.combine(self._date, at.replace(tzinfo=UTC))
 
     def _ubx(self, message: bytes) -> Fix | None:
-        said: Any = UBXReader.parse(message)
-        if said.identity != "NAV-PVT":
+        parsed: Any = UBXReader.parse(message)
+        if parsed.identity != "NAV-PVT":
             self.dropped[GnssDefect.UNUSED] += 1
             return None
-        utc = _ubx_time(said) if said.validDate and said.validTime else None
-        if not said.gnssFixOk or said.fixType < _LEAST_FIX_TYPE:
+        utc = _ubx_time(parsed) if parsed.validDate and parsed.validTime else None
+        if not parsed.gnssFixOk or parsed.fixType < _LEAST_FIX_TYPE:
             return Fix(utc, 0)
         return Fix(
             utc,
-            {1: 5, 2: 4}.get(said.carrSoln, 2 if said.diffSoln else 1),
-            _checked((said.lat, said.lon, said.height * 1e-3)),
+            {1: 5, 2: 4}.get(parsed.carrSoln, 2 if parsed.diffSoln else 1),
+            _checked((parsed.lat, parsed.lon, parsed.height * 1e-3)),
             # In mm: the horizontal one is of both axes together, so each has 1/√2 of it.
-            (said.hAcc * 7.07e-4, said.hAcc * 7.07e-4, said.vAcc * 1e-3),
-            (said.velE * 1e-3, said.velN * 1e-3, said.velD * -1e-3),
+            (parsed.hAcc * 7.07e-4, parsed.hAcc * 7.07e-4, parsed.vAcc * 1e-3),
+            (parsed.velE * 1e-3, parsed.velN * 1e-3, parsed.velD * -1e-3),
             # In mm/s, of three axes together: each has 1/√3 of it.
-            (said.sAcc * 5.8e-4,) * 3,
+            (parsed.sAcc * 5.8e-4,) * 3,
         )
 
 
-def _ubx_time(said: Any) -> datetime:
-    whole = datetime(said.year, said.month, said.day, said.hour, said.min, min(said.second, 59), tzinfo=UTC)
-    return datetime.fromtimestamp(whole.timestamp() + said.nano * 1e-9, UTC)
+def _ubx_time(parsed: Any) -> datetime:
+    whole = datetime(
+        parsed.year, parsed.month, parsed.day, parsed.hour, parsed.min, min(parsed.second, 59), tzinfo=UTC
+    )
+    return datetime.fromtimestamp(whole.timestamp() + parsed.nano * 1e-9, UTC)
 
 
 def _checked(place: tuple[float, float, float]) -> tuple[float, float, float]:

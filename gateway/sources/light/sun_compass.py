@@ -71,7 +71,7 @@ class _Module:
     direction: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     sigma: float = math.nan
     sighted_ns: int = 0
-    heard_ns: int = 0
+    received_ns: int = 0
     brightest: float = 0.0
     counts: Counter[str] = field(default_factory=Counter)
     state: str = "silent"
@@ -132,7 +132,7 @@ class SunCompass:
         return sum((module.counts for module in self._modules), Counter[str]())
 
     def _state(self, module: _Module) -> str:
-        is_silent = self._time_ns - module.heard_ns > SILENT_S * 1e9
+        is_silent = self._time_ns - module.received_ns > SILENT_S * 1e9
         return "silent" if is_silent else module.state
 
     # Where cells are in place of the magnetometer, what modules send as a field is void.
@@ -149,8 +149,8 @@ class SunCompass:
         module = self._modules[row]
         solution = module.cells.solve(reading.intensity)
         reason = self._fault(module, reading, solution, frame.specific_force[row])
-        since_s = (reading.time_ns - module.heard_ns) * 1e-9
-        module.heard_ns = reading.time_ns
+        since_s = (reading.time_ns - module.received_ns) * 1e-9
+        module.received_ns = reading.time_ns
         module.state = "sun" if reason is None else reason.name.lower()
         module.counts[module.state] += 1
         if reason is not None:

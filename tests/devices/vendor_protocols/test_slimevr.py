@@ -143,9 +143,9 @@ def session():
 def connected(flags=1, now_s=0.0):
     made = session()
     assert made.due(now_s) is not None
-    (features,) = made.hear(wire.GREETING, now_s)
+    (features,) = made.receive(wire.GREETING, now_s)
     assert SlimevrDecoder().feed(features) == [Features(4)]
-    made.hear(wire.encode(Kind.FEATURES, 0, bytes((flags,))), now_s)
+    made.receive(wire.encode(Kind.FEATURES, 0, bytes((flags,))), now_s)
     return made
 
 
@@ -153,8 +153,10 @@ def test_a_tracker_asks_every_second_until_it_is_greeted():
     made = session()
     assert [made.due(t) is not None for t in (0.0, 0.5, 1.0, 1.9, 2.0)] == [True, False, True, False, True]
     assert made.data([(17, b"")]) == []
-    assert made.hear(wire.encode(Kind.ROTATION), 2.0) == []  # of somebody else: no answer before a greeting
-    made.hear(wire.GREETING, 2.1)
+    assert (
+        made.receive(wire.encode(Kind.ROTATION), 2.0) == []
+    )  # of somebody else: no answer before a greeting
+    made.receive(wire.GREETING, 2.1)
     assert made.is_connected
     assert made.due(4.0) is None
 
@@ -165,15 +167,15 @@ def test_a_tracker_says_what_its_sensors_are_until_that_is_acknowledged():
     assert SlimevrDecoder().feed(wire.encode(kind, 1, payload)) == [SensorInfo(0, 1, 13, 2)]
     assert made.presentations(0.9) == []
     assert made.presentations(1.0)
-    made.hear(wire.acknowledge(0, 1), 1.5)
+    made.receive(wire.acknowledge(0, 1), 1.5)
     assert made.presentations(2.1) == []
 
 
 def test_a_tracker_answers_and_begins_again_when_its_server_is_gone():
     made = connected()
     ping = wire.ping(77)
-    assert made.hear(ping, 1.0) == [ping]
-    (beat,) = made.hear(wire.encode(Kind.ROTATION), 2.0)
+    assert made.receive(ping, 1.0) == [ping]
+    (beat,) = made.receive(wire.encode(Kind.ROTATION), 2.0)
     assert struct.unpack(">IQ", beat)[0] == Kind.HEARTBEAT
     assert made.due(4.9) is None
     assert made.due(5.1) is not None

@@ -12,7 +12,7 @@ def test_worked_example():
     """Modules 1 and 2 on link a, 3 on link b; triggers every 10 ms, answers taken for 25 ms."""
     answers = TriggerAnswers((1, 2, 3), 25 * MS)
     for module, link in ((1, "a"), (2, "a"), (3, "b"), (9, "a")):
-        answers.heard(module, link)
+        answers.note_link(module, link)
     answers.sent(0, "a", 1000 * MS + 50)
     answers.sent(0, "b", 1000 * MS + 90)  # the same trigger, a moment later on the other link
     assert answers.answered(1, 0, "a", 1003 * MS) == (0, 1000 * MS + 50)
@@ -37,8 +37,8 @@ def test_worked_example():
 
 def test_nothing_is_awaited_of_modules_that_are_away_or_sample_alone():
     answers = TriggerAnswers((1, 2, 3), 5 * MS)
-    answers.heard(1, "a")
-    answers.heard(2, "b")
+    answers.note_link(1, "a")
+    answers.note_link(2, "b")
     answers.sampled_alone(1)
     answers.sent(0, "a", 0)
     answers.expire(10 * MS)
@@ -53,7 +53,7 @@ def test_nothing_is_awaited_of_modules_that_are_away_or_sample_alone():
 
 def test_numbers_wrap_and_a_link_may_have_been_away_for_long():
     answers = TriggerAnswers((1,), 25 * MS)
-    answers.heard(1, "a")
+    answers.note_link(1, "a")
     numbers = [65_535, 0, 40_000, 10]  # 40000: more than half the range was sent over other links, or none
     full = []
     for k, number in enumerate(numbers):
@@ -87,7 +87,7 @@ def test_no_order_of_answers_gives_a_wrong_instant(data):
             happenings += [(sent_ns + delay, 1, link, module, number) for delay in delays]
     answers, expected = TriggerAnswers((0, 1), patience), 0
     for module, link in enumerate(links):
-        answers.heard(module, link)
+        answers.note_link(module, link)
     by_instant = {}
     for at_ns, kind, link, module, number in sorted(happenings):
         if kind == 0:

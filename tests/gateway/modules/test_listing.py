@@ -24,7 +24,7 @@ from tests.patience import PATIENCE_S
 async def test_one_that_answers_no_commands_is_listed_by_what_it_says_of_itself(operated):
     # The description comes after the time for measuring rates: it is waited for.
     async with operated(info_interval_s=2.0) as (suit, operations, _):
-        suit.traffic.device(2).hear = lambda *_: None
+        suit.traffic.device(2).receive = lambda *_: None
 
         answering = 0
         async with asyncio.timeout(PATIENCE_S):

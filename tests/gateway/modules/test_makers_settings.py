@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from devices.device_errors import DeviceError, NoAnswerError, UnfinishedError
-from devices.emulators.mti_voice import MtiVoice
-from devices.emulators.witmotion_voice import WitMotionCanVoice, WitMotionVoice
-from devices.emulators.ximu3_voice import Ximu3Voice
+from devices.emulators.mti_emulator import MtiEmulator
+from devices.emulators.witmotion_emulator import WitMotionCanEmulator, WitMotionEmulator
+from devices.emulators.ximu3_emulator import Ximu3Emulator
 from devices.link import Chunk
 from devices.vendor_protocols.mti import MtiDecoder
 from devices.vendor_protocols.witmotion import IDENTIFIER, WitMotionCanDecoder, WitMotionDecoder
@@ -27,7 +27,7 @@ from gateway.sources.witmotion import WitMotionCanCommands, WitMotionCommands, W
 from gateway.sources.ximu3 import Ximu3Commands
 
 DEVICE = SimpleNamespace(adopt=lambda _settings: None, blink=lambda _seconds: None)
-"""What a voice needs of the emulated module beside it."""
+"""What an emulator needs of the emulated module beside it."""
 
 
 class Wire:
@@ -36,15 +36,15 @@ class Wire:
     module = 3
     device = None
 
-    def __init__(self, voice, decoder, framed=lambda command: command):
-        self.voice, self._decoder, self._framed = voice, decoder, framed
+    def __init__(self, emulator, decoder, framed=lambda command: command):
+        self.emulator, self._decoder, self._framed = emulator, decoder, framed
         self.commands_left = 10**6
         self.is_deaf_to = lambda _command: False
 
-    async def tell(self, data):
+    async def send(self, data):
         self._said(data)
 
-    async def ask(self, data, meant, what):
+    async def request(self, data, meant, what):
         found = next((told for message in self._said(data) if (told := meant(message)) is not None), None)
         if found is None:
             raise NoAnswerError(f"the device does not answer '{what}'")
@@ -54,7 +54,7 @@ class Wire:
         self.commands_left -= 1
         if self.commands_left < 0 or self.is_deaf_to(data):
             return []
-        return self._decoder.feed(self.voice.hear(self._framed(data), DEVICE))
+        return self._decoder.feed(self.emulator.receive(self._framed(data), DEVICE))
 
 
 def module(wire, commands):
@@ -63,7 +63,7 @@ def module(wire, commands):
 
 @pytest.fixture
 def witmotion():
-    return module(Wire(WitMotionVoice(3), WitMotionDecoder()), WitMotionCommands())
+    return module(Wire(WitMotionEmulator(3), WitMotionDecoder()), WitMotionCommands())
 
 
 @pytest.fixture
@@ -71,18 +71,18 @@ def witmotion_can():
     def framed(command):
         return pack_can_records([CanFrame(IDENTIFIER, command, is_extended=False)])
 
-    wire = Wire(WitMotionCanVoice(3), WitMotionCanDecoder(IDENTIFIER), framed)
+    wire = Wire(WitMotionCanEmulator(3), WitMotionCanDecoder(IDENTIFIER), framed)
     return module(wire, WitMotionCanCommands())
 
 
 @pytest.fixture
 def ximu3():
-    return module(Wire(Ximu3Voice(3), Ximu3Decoder()), Ximu3Commands())
+    return module(Wire(Ximu3Emulator(3), Ximu3Decoder()), Ximu3Commands())
 
 
 @pytest.fixture
 def mti():
-    return module(Wire(MtiVoice(3), MtiDecoder()), MtiCommands())
+    return module(Wire(MtiEmulator(3), MtiDecoder()), MtiCommands())
 
 
 async def test_what_is_written_is_told_with_what_stood_there(witmotion, ximu3, mti):
@@ -113,7 +113,7 @@ async def test_of_several_settings_those_written_before_one_was_refused_are_told
     back = f"mocap-gateway modules set 3 {divisor}=4 binary_mode_enabled=true --allow-writes"
     assert f"`{back}` takes that back" in said
     await changed(ximu3, {divisor: 4, "binary_mode_enabled": True})  # as it says
-    assert ximu3.line.voice.settings[divisor] == 4
+    assert ximu3.line.emulator.settings[divisor] == 4
 
 
 async def test_a_device_that_falls_silent_in_the_middle_leaves_what_stood_there_before(witmotion):
@@ -142,13 +142,13 @@ async def test_another_rate_of_the_line_after_which_it_is_not_heard_says_what_to
     witmotion.line.is_deaf_to = lambda data: moved or (data[2] == 0x04 and moved.append(1))
     with pytest.raises(UnfinishedError, match=r"^baud=9600 is written, and the device is not heard since: "):
         await changed(witmotion, {"baud": 9600, "rate": 50})
-    assert witmotion.line.voice.registers[0x03] == 8  # the rest of it came before
+    assert witmotion.line.emulator.registers[0x03] == 8  # the rest of it came before
 
 
 async def test_on_can_the_rate_of_the_bus_has_numbers_of_its_own(witmotion_can):
     before, after = await changed(witmotion_can, {"baud": 500_000})
     assert (before, after) == ({"baud": 250_000}, {"baud": 500_000})
-    assert witmotion_can.line.voice.registers[0x04] == 2
+    assert witmotion_can.line.emulator.registers[0x04] == 2
     with pytest.raises(DeviceError, match="baud=115200: can be 1000000, 800000, "):
         await changed(witmotion_can, {"baud": 115_200})
 
@@ -156,7 +156,7 @@ async def test_on_can_the_rate_of_the_bus_has_numbers_of_its_own(witmotion_can):
 async def test_on_can_another_identifier_is_written_and_the_link_is_told_of(witmotion_can):
     with pytest.raises(UnfinishedError, match=r"address=81 is written.*put that identifier at the link"):
         await changed(witmotion_can, {"address": 0x51})
-    assert witmotion_can.line.voice.registers[0x1A] == 0x51
+    assert witmotion_can.line.emulator.registers[0x1A] == 0x51
 
 
 def test_a_bus_is_not_taken_for_a_slow_serial_line(witmotion_can):
@@ -177,11 +177,11 @@ class LateLink:
 
     name = "link"
 
-    def __init__(self, source, voice):
-        self._source, self._voice = source, voice
+    def __init__(self, source, emulator):
+        self._source, self._emulator = source, emulator
 
     async def write(self, data, to=()):
-        said = self._voice.hear(data, DEVICE)
+        said = self._emulator.receive(data, DEVICE)
         if said:
             asyncio.get_running_loop().call_later(0.03, self._say, said)
 
@@ -193,6 +193,6 @@ async def test_answers_to_a_question_that_was_repeated_are_not_taken_for_those_t
     monkeypatch.setattr(makers, "_ANSWER_S", 0.02)
     source = WitMotionSource(SourceContext(load_rig("arm_3"), ModuleTable()))
     source.add_link("link", "witmotion")
-    line = MakersLine(LateLink(source, WitMotionVoice(0)), source, 0, lambda _sent: None)
-    expected = await WitMotionCommands().read(Wire(WitMotionVoice(0), WitMotionDecoder()))
+    line = MakersLine(LateLink(source, WitMotionEmulator(0)), source, 0, lambda _sent: None)
+    expected = await WitMotionCommands().read(Wire(WitMotionEmulator(0), WitMotionDecoder()))
     assert await WitMotionCommands().read(line) == expected

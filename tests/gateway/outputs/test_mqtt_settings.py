@@ -73,5 +73,5 @@ def test_unreadable_password_file_is_named(tmp_path: Path) -> None:
 
 
 def test_embedded_broker_is_always_spoken_to_in_3_1_1() -> None:
-    assert MqttSettings(broker="embedded", protocol="5").spoken_protocol == "3.1.1"
-    assert MqttSettings(broker="external", protocol="5").spoken_protocol == "5"
+    assert MqttSettings(broker="embedded", protocol="5").protocol_in_use == "3.1.1"
+    assert MqttSettings(broker="external", protocol="5").protocol_in_use == "5"

@@ -20,7 +20,7 @@ from gateway.viewer.sensor_tab import result_table as sensor_table
 from gateway.viewer.step_pictures import step_picture
 from gateway.viewer.step_tab import Errands
 from gateway.viewer.takes import takes_list
-from gateway.viewer.texts import LANGUAGES, movement_name, say, texts
+from gateway.viewer.texts import LANGUAGES, movement_name, texts, translated
 
 
 def device(module, unique_id, segment, **more):
@@ -80,8 +80,8 @@ def test_a_device_is_called_by_its_segment_in_every_language():
 def test_the_table_names_who_is_silent_and_who_shares_an_id(language):
     table = found_table(LISTED, language)
     assert "80\u00a0%" in table
-    assert say(language, "silent") in table
-    assert say(language, "missing", segments="hand") in table
+    assert translated(language, "silent") in table
+    assert translated(language, "missing", segments="hand") in table
     assert "<b>" not in table
     shared = LISTED | {"conflicts": [{"module": 1, "unique_ids": [SECOND, THIRD]}]}
     (line,) = conflict_lines(shared, language)
@@ -219,5 +219,5 @@ def test_whatever_was_found_of_a_sensor_is_told(language):
     """``none``: too little was heard to find anything."""
     for quality in ("good", "fair", "poor", "none"):
         table = sensor_table({"5": {"gyroscope": {"quality": quality, "reasons": ["no rest"]}}}, language)
-        assert say(language, quality) in table
+        assert translated(language, quality) in table
         assert "no rest" in table

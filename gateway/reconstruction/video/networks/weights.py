@@ -137,8 +137,8 @@ def weights_of(name: str) -> Weights:
 def models_folder() -> Path:
     """Return the user's folder: ``$MOCAP_MODELS``, else ``mocap-gateway/models`` under the user's cache
     folder."""
-    told = os.environ.get(FOLDER_VARIABLE)
-    if told:
-        return Path(told)
+    configured = os.environ.get(FOLDER_VARIABLE)
+    if configured:
+        return Path(configured)
     cache = os.environ.get("XDG_CACHE_HOME")
     return (Path(cache) if cache else Path.home() / ".cache") / "mocap-gateway" / "models"

@@ -25,6 +25,7 @@ from gateway.recording import open_recording
 from gateway.recording.exporters import foxglove as of_foxglove
 from gateway.recording.exporters import ros2
 from gateway.recording.exporters.axes import Axes
+from gateway.recording.exporters.formats import FORMATS
 from gateway.recording.exporters.message_file import samples_of
 from gateway.recording.exporters.take import Take, take_of
 from tests.gateway.recording.exporters.test_exported_files import ARRAYS
@@ -204,12 +205,21 @@ def test_what_was_made_for_viewers_is_no_recording(record, tmp_path):
     assert "ros2.mcap" not in listed.output
 
 
-@pytest.mark.parametrize("writer", [ros2.write, of_foxglove.write])
-def test_other_axes_and_units_are_refused(tmp_path, writer):
+@pytest.mark.parametrize("name", ["ros2", "foxglove"])
+def test_other_axes_and_units_are_refused(tmp_path, name):
+    path = tmp_path / "walk.mcap"
     with pytest.raises(GatewayError, match="z up"):
-        writer(take_of(ARRAYS, "walk", Axes.Y_UP), tmp_path / "walk.mcap", 1.0)
+        FORMATS[name].write(take_of(ARRAYS, "walk", Axes.Y_UP), path, 1.0)
     with pytest.raises(GatewayError, match="100 units a metre"):
-        writer(take_of(ARRAYS, "walk", Axes.Z_UP), tmp_path / "walk.mcap", 100.0)
+        FORMATS[name].write(take_of(ARRAYS, "walk", Axes.Z_UP), path, 100.0)
+    assert not path.exists()
+
+
+def test_nothing_is_written_where_one_of_the_formats_cannot_be(record):
+    path = record()
+    ran = CliRunner().invoke(app, ["export", str(path), "--to", "bvh", "--to", "ros2", "--axes", "y-up"])
+    assert isinstance(ran.exception, GatewayError)
+    assert not path.with_suffix(".bvh").exists()
 
 
 def test_foxglove_shows_the_same_poses_bones_and_angles(tmp_path, person):

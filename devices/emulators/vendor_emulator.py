@@ -1,7 +1,7 @@
-"""Modules that speak as those of another maker: what the emulated ones sense, in other words.
+"""Modules of other makers: what the emulated ones sense, encoded in another protocol.
 
-A ``Voice`` stands where ``Encoding`` does, for one module on a link of its own: losses, delays and damage
-befall its bytes like any others.
+A ``VendorEmulator`` stands where ``Encoding`` does, for one module on a link of its own: losses, delays and
+damage befall its bytes like any others.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Fused(NamedTuple):
     orientation: tuple[float, float, float, float]  # sensor to its level reference, w first
 
 
-class Voice:
+class VendorEmulator:
     """One module of another maker. A maker's own extends this."""
 
     framing: ClassVar[Framing] = Framing.BYTE_STREAM
@@ -60,7 +60,7 @@ class Voice:
     """Whether it sends orientations and nothing else."""
     shares_bus: ClassVar[bool] = False
     """Whether several devices can be told apart on one CAN bus."""
-    speaks_as_one: ClassVar[bool] = False
+    sends_as_one: ClassVar[bool] = False
     """Whether all of a body send as one, over one link."""
 
     def __init__(self, module: int, field_ut: float = 49.0) -> None:
@@ -75,19 +75,19 @@ class Voice:
         """What the configuration of its link must say besides the usual."""
         return {}
 
-    def say(self, sensed: Sensed) -> bytes:
+    def encode_sample(self, sensed: Sensed) -> bytes:
         """Return what the device sends for a sample."""
         raise NotImplementedError
 
-    def say_fused(self, fused: Fused) -> bytes:
+    def encode_fused(self, fused: Fused) -> bytes:
         """Return what it sends for an orientation; nothing unless a maker's own does."""
         return b""
 
-    def say_health(self, time_us: int, health: Health) -> bytes:
+    def encode_health(self, time_us: int, health: Health) -> bytes:
         """Return what it sends of how it fares; nothing unless a maker's own does."""
         return b""
 
-    def hear(self, data: bytes, device: EmulatedDevice) -> bytes:
+    def receive(self, data: bytes, device: EmulatedDevice) -> bytes:
         """Obey what the host says; return the answer."""
         return b""
 
@@ -102,16 +102,16 @@ class Voice:
         packet = decode_body(frame.kind, frame.body)
         time_us = self._unwrapped(frame.module_time_us)
         if isinstance(packet, Health):
-            return self.say_health(time_us, packet)
+            return self.encode_health(time_us, packet)
         if isinstance(packet, FusedSample):
-            return self.say_fused(Fused(time_us, frame.sequence, packet.orientation))
+            return self.encode_fused(Fused(time_us, frame.sequence, packet.orientation))
         if not isinstance(packet, InertialSample | InertialSampleFine):
             return b""
         # Its messages hold both: one alone cannot be sent.
         if not packet.specific_force or not packet.angular_rate:
             return b""
         force, rate, field = packet.specific_force, packet.angular_rate, packet.magnetic_field
-        return self.say(Sensed(time_us, frame.sequence, force, rate, field))
+        return self.encode_sample(Sensed(time_us, frame.sequence, force, rate, field))
 
     def corrupt(self, data: bytes, rng: Generator) -> bytes:
         """Return it with one byte changed."""
@@ -126,25 +126,25 @@ class Voice:
         return self._newest_us
 
 
-_Said = TypeVar("_Said")
+_Part = TypeVar("_Part")
 
 
-class Together(Generic[_Said]):
-    """What the modules of a body have to say of one instant, until all have said it.
+class Together(Generic[_Part]):
+    """The parts of one instant that the modules of a body send, until all have come.
 
-    They speak in turns, in their order, each of one instant or a few. When the turn begins anew nothing more
-    comes of the instants of the last one: what was lost is left out.
+    Modules send in turns, in their order, each of one instant or a few. When the turn begins anew nothing
+    more comes of the instants of the last one: what was lost is left out.
     """
 
     def __init__(self, modules: Iterable[int]) -> None:
         self._place = {module: place for place, module in enumerate(modules)}
         self._counts: dict[int, tuple[int, int]] = {}  # newest sequence, and samples until then
-        self._waiting: dict[int, tuple[int, dict[int, _Said]]] = {}
+        self._waiting: dict[int, tuple[int, dict[int, _Part]]] = {}
         self._last = -1  # place of the module that sent last
 
     def add(
-        self, module: int, sequence: int, time_us: int, said: _Said
-    ) -> list[tuple[int, int, list[_Said]]]:
+        self, module: int, sequence: int, time_us: int, part: _Part
+    ) -> list[tuple[int, int, list[_Part]]]:
         """Return number, time and content of each instant that this completes. sequence: of 16 bits."""
         place = self._place[module]
         # Modules send in turn: one that comes before its predecessor has begun the next round.
@@ -154,12 +154,12 @@ class Together(Generic[_Said]):
         count += (sequence - newest) % 2**16
         self._counts[module] = sequence, count
         found = [(number, *self._taken(number)) for number in done]
-        self._waiting.setdefault(count, (time_us, {}))[1][module] = said
+        self._waiting.setdefault(count, (time_us, {}))[1][module] = part
         if self._waiting[count][1].keys() == self._place.keys():
             found.append((count, *self._taken(count)))
         return found
 
-    def _taken(self, number: int) -> tuple[int, list[_Said]]:
+    def _taken(self, number: int) -> tuple[int, list[_Part]]:
         time_us, parts = self._waiting.pop(number)
         return time_us, [parts[each] for each in sorted(parts)]
 
@@ -176,23 +176,23 @@ def degrees(vector: Vector) -> Vector:
     return x, y, z
 
 
-class OneSpeaksOtherwise:
+class MixedSuit:
     """A suit of which one module is another maker's: what it sends, in two."""
 
-    def __init__(self, voice: Voice) -> None:
-        self._voice = voice
+    def __init__(self, emulator: VendorEmulator) -> None:
+        self._emulator = emulator
         self._frames = FrameDecoder()
 
     def feed(self, data: bytes) -> tuple[bytes, bytes]:
         """Return wire frames of the other modules, and what the device sends."""
         ours, theirs = b"", b""
         for frame in self._frames.feed(data):
-            if frame.module != self._voice.module:
+            if frame.module != self._emulator.module:
                 ours += encode_frame(frame)
             else:
-                theirs += self._voice.encode(frame)
+                theirs += self._emulator.encode(frame)
         return ours, theirs
 
 
-VoiceOf = Callable[[int], Voice]
-"""Makes the voice of a module, by its number."""
+EmulatorOf = Callable[[int], VendorEmulator]
+"""Makes the emulator of a module, by its number."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from devices.emulators.emulated_device import EmulatedDevice
-from devices.emulators.voice import Sensed, Voice, shares
+from devices.emulators.vendor_emulator import Sensed, VendorEmulator, shares
 from devices.link import Framing
 from devices.vendor_protocols.mti import (
     CLIPPED,
@@ -28,7 +28,7 @@ _MOST_FORCE, _MOST_RATE = 10 * 9.80665, 34.9
 """m/s² and rad/s: ends of its ranges."""
 
 
-class MtiVoice(Voice):
+class MtiEmulator(VendorEmulator):
     """``MTData2`` with counter, time, status, acceleration, rate of turn and magnetic field."""
 
     def __init__(self, module: int, field_ut: float = 49.0, number: int = 0) -> None:
@@ -48,7 +48,7 @@ class MtiVoice(Voice):
         self._count = 0
         self._host = MtiDecoder()
 
-    def say(self, sensed: Sensed) -> bytes:
+    def encode_sample(self, sensed: Sensed) -> bytes:
         """Return the message of one sample; none in configuration mode."""
         if not self.is_measuring:
             return b""
@@ -56,7 +56,7 @@ class MtiVoice(Voice):
         items = [encode_item(name, values[name], self._number) for name in self.outputs if name in values]
         return encode(Mid.MT_DATA_2, b"".join(items))
 
-    def hear(self, data: bytes, device: EmulatedDevice) -> bytes:
+    def receive(self, data: bytes, device: EmulatedDevice) -> bytes:
         """Obey Xbus messages of the host."""
         replies = [each for each in self._host.feed(data) if isinstance(each, Reply)]
         return b"".join(self._obeyed(each, device) for each in replies)
@@ -108,15 +108,15 @@ class MtiVoice(Voice):
             device.adopt({"sampling_rate": float(rate)})
 
 
-class MtiCanVoice(MtiVoice):
+class MtiCanEmulator(MtiEmulator):
     """The same as CAN frames; it takes no commands there."""
 
     framing = Framing.CAN
 
-    def say(self, sensed: Sensed) -> bytes:
+    def encode_sample(self, sensed: Sensed) -> bytes:
         """Return the CAN records of one sample."""
         return encode_can({**self._measured(sensed), "sample_time_us": (sensed.time_us % 2**32,)})
 
-    def hear(self, data: bytes, device: EmulatedDevice) -> bytes:
+    def receive(self, data: bytes, device: EmulatedDevice) -> bytes:
         """Pass over what the host says."""
         return b""

@@ -9,7 +9,7 @@ import numpy as np
 
 from devices.deferred import VQF
 from devices.emulators.emulated_device import EmulatedDevice
-from devices.emulators.voice import GRAVITY, Sensed, Voice
+from devices.emulators.vendor_emulator import GRAVITY, Sensed, VendorEmulator
 from devices.vendor_protocols import slimevr as wire
 from devices.vendor_protocols.slimevr import Battery, Handshake, Kind, SensorInfo, SettingDone, Temperature
 from devices.vendor_protocols.slimevr_tracker import Part, TrackerSession
@@ -22,7 +22,7 @@ _HAS_MAGNETOMETER = 2
 _RESTARTED_S = 1.0
 
 
-class SlimevrVoice(Voice):
+class SlimevrEmulator(VendorEmulator):
     """Six-axis orientation and linear acceleration of each sample, in one datagram.
 
     It looks for a server, and sends data to one that greets it alone. The first samples teach its filter the
@@ -44,7 +44,7 @@ class SlimevrVoice(Voice):
         mac = ":".join(self.mac[place : place + 2] for place in range(0, 12, 2))
         return {"trackers": {mac: self.module}}
 
-    def say(self, sensed: Sensed) -> bytes:
+    def encode_sample(self, sensed: Sensed) -> bytes:
         """Return the datagram of a sample; a handshake, or nothing, where no server has greeted it."""
         self._pass(sensed.time_us)
         if (handshake := self.session.due(self._now_s)) is not None:
@@ -52,7 +52,7 @@ class SlimevrVoice(Voice):
         parts = [*self.session.presentations(self._now_s), *self._fused(sensed)]
         return self._one(self.session.data(parts))
 
-    def say_health(self, time_us: int, health: Health) -> bytes:
+    def encode_health(self, time_us: int, health: Health) -> bytes:
         """Return battery, signal and temperature; the battery alone to a server of old."""
         self._pass(time_us)
         charge = Battery(health.battery_voltage or 0.0, (health.battery_percent or 0) / 100.0)
@@ -63,12 +63,16 @@ class SlimevrVoice(Voice):
             parts += [(Kind.SIGNAL, wire.signal(dbm)), (Kind.TEMPERATURE, wire.temperature(celsius))]
         return self._one(self.session.data(parts))
 
-    def hear(self, data: bytes, device: EmulatedDevice) -> bytes:
+    def receive(self, data: bytes, device: EmulatedDevice) -> bytes:
         """Answer the server; obey it where it switches the magnetometer, which nothing is fused from."""
-        answers = self.session.hear(data, self._now_s)
-        heard = wire.read_from_server(data)
-        if isinstance(heard, wire.FromServer) and heard.kind == Kind.SET_SETTING and len(heard.payload) == 4:
-            sensor, setting, value = struct.unpack(">BHB", heard.payload)
+        answers = self.session.receive(data, self._now_s)
+        message = wire.read_from_server(data)
+        if (
+            isinstance(message, wire.FromServer)
+            and message.kind == Kind.SET_SETTING
+            and len(message.payload) == 4
+        ):
+            sensor, setting, value = struct.unpack(">BHB", message.payload)
             if setting == wire.MAGNETOMETER:
                 self.session.sensors[0] = _sensor(is_on=bool(value))
                 done = SettingDone(sensor, setting)

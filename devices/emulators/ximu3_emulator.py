@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from devices.emulators.emulated_device import EmulatedDevice
-from devices.emulators.voice import GRAVITY, Sensed, Voice, degrees, shares
+from devices.emulators.vendor_emulator import GRAVITY, Sensed, VendorEmulator, degrees, shares
 from devices.vendor_protocols.ximu3 import (
     COMMAND_PORT,
     DISCOVERY_PORT,
@@ -38,7 +38,7 @@ _FACTORY: dict[str, Any] = {
 }
 
 
-class Ximu3Voice(Voice):
+class Ximu3Emulator(VendorEmulator):
     """Samples of the magnetometer come by themselves, 20 a second; battery and signal every second."""
 
     def __init__(self, module: int, field_ut: float = 49.0, receive_port: int = COMMAND_PORT) -> None:
@@ -58,30 +58,30 @@ class Ximu3Voice(Voice):
         """Where it takes commands, if that is not the usual port."""
         return {} if self.from_port == COMMAND_PORT else {"command_port": self.from_port}
 
-    def say(self, sensed: Sensed) -> bytes:
+    def encode_sample(self, sensed: Sensed) -> bytes:
         """Return the messages of one sample."""
         force, rate = shares(sensed.force, GRAVITY), degrees(sensed.rate)
-        said = self._encoded(b"I", sensed.time_us, (*rate, *force))
+        messages = self._encoded(b"I", sensed.time_us, (*rate, *force))
         interval_us = self.settings[_MAGNETIC] * 1_000_000 // MAGNETIC_HZ
         if sensed.field is None or not interval_us or sensed.time_us < self._field_due_us:
-            return said
+            return messages
         self._field_due_us = max(self._field_due_us + interval_us, sensed.time_us - interval_us)
-        # its magnetometer runs by itself: a sample of an instant before, said after
+        # its magnetometer runs by itself: a sample of an instant before, sent after
         at_us = max(sensed.time_us - _FIELD_LATER_US, 0)
-        return said + self._encoded(b"M", at_us, shares(sensed.field, self.field_ut))
+        return messages + self._encoded(b"M", at_us, shares(sensed.field, self.field_ut))
 
-    def say_health(self, time_us: int, health: Health) -> bytes:
+    def encode_health(self, time_us: int, health: Health) -> bytes:
         """Return battery, signal and temperature."""
         self._health = health
         rssi_dbm = -60 if health.rssi_dbm is None else health.rssi_dbm
-        told = {
+        reported = {
             b"B": (health.battery_percent or 0, health.battery_voltage or 0.0, 0.0),
             b"W": (_percent(rssi_dbm), rssi_dbm),
             b"T": (health.temperature_celsius or 0.0,),
         }
-        return b"".join(self._encoded(letter, time_us, values) for letter, values in told.items())
+        return b"".join(self._encoded(letter, time_us, values) for letter, values in reported.items())
 
-    def hear(self, data: bytes, device: EmulatedDevice) -> bytes:
+    def receive(self, data: bytes, device: EmulatedDevice) -> bytes:
         """Obey commands, one a line."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         return b"".join(self._obeyed(line, device) for line in lines if line.strip())
@@ -112,8 +112,8 @@ class Ximu3Voice(Voice):
             return encode_command("error", "Unable to parse JSON")
         match key:
             case "ping":
-                told = {"interface": "UDP", "name": self.settings["device_name"]}
-                return encode_command("ping", told | {"sn": self.settings["serial_number"]})
+                reported = {"interface": "UDP", "name": self.settings["device_name"]}
+                return encode_command("ping", reported | {"sn": self.settings["serial_number"]})
             case "strobe" | "blink":
                 device.blink(_FLASHES_S if key == "strobe" else 1)
             case "apply" | "save":
@@ -139,7 +139,7 @@ def _percent(rssi_dbm: float) -> int:
     return round(min(max(2.0 * (rssi_dbm + 100.0), 0.0), 100.0))
 
 
-def ximu3_voices(modules: Sequence[int], field_ut: float) -> Mapping[int, Voice]:
-    """Return the voices of devices that take commands each on a port of its own."""
+def ximu3_emulators(modules: Sequence[int], field_ut: float) -> Mapping[int, VendorEmulator]:
+    """Return the emulators of devices that take commands each on a port of its own."""
     ports = enumerate(modules, start=COMMAND_PORT)
-    return {module: Ximu3Voice(module, field_ut, port) for port, module in ports}
+    return {module: Ximu3Emulator(module, field_ut, port) for port, module in ports}

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from devices.deferred import Rotation
-from devices.emulators.voice import Fused, Sensed, Voice
+from devices.emulators.vendor_emulator import Fused, Sensed, VendorEmulator
 from devices.vendor_protocols.bno08x import Report, encode
 
 
-class Bno08xVoice(Voice):
+class Bno08xEmulator(VendorEmulator):
     """Orientations as Euler angles; the acceleration is that at rest."""
 
     is_fused = True
 
-    def say(self, sensed: Sensed) -> bytes:
+    def encode_sample(self, sensed: Sensed) -> bytes:
         """Return nothing: it sends no raw values."""
         return b""
 
-    def say_fused(self, fused: Fused) -> bytes:
+    def encode_fused(self, fused: Fused) -> bytes:
         """Return the report of one orientation."""
         turned = Rotation.from_quat(fused.orientation, scalar_first=True)
         yaw, pitch, roll = turned.as_euler("ZYX", degrees=True).tolist()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from devices.emulators.emulated_device import EmulatedDevice
-from devices.emulators.voice import GRAVITY, Sensed, Voice, degrees, shares
+from devices.emulators.vendor_emulator import GRAVITY, Sensed, VendorEmulator, degrees, shares
 from devices.link import Framing
 from devices.vendor_protocols.witmotion import (
     ACCELERATION,
@@ -39,7 +39,7 @@ _SENT = ACCELERATION, ANGULAR_RATE, ANGLE, FIELD, QUATERNION
 _FACTORY = {_CONTENT: 0x16, _RATE: 9, 0x04: 6, 0x1A: IDENTIFIER, 0x1F: 2, 0x23: 0, 0x24: 0, 0x2E: 49}
 
 
-class WitMotionVoice(Voice):
+class WitMotionEmulator(VendorEmulator):
     """Acceleration, angular rate and magnetic field, by the register of contents."""
 
     def __init__(self, module: int, field_ut: float = 49.0) -> None:
@@ -50,11 +50,11 @@ class WitMotionVoice(Voice):
         self._is_unlocked = False
         self._rest = b""
 
-    def say(self, sensed: Sensed) -> bytes:
+    def encode_sample(self, sensed: Sensed) -> bytes:
         """Return the packets of one sample."""
         return b"".join(self._encoded(kind, numbers) for kind, numbers in self._measured(sensed))
 
-    def hear(self, data: bytes, device: EmulatedDevice) -> bytes:
+    def receive(self, data: bytes, device: EmulatedDevice) -> bytes:
         """Obey registers that are written."""
         writes, self._rest = read_writes(self._rest + data)
         return b"".join(self._obeyed(register, value, device) for register, value in writes)
@@ -87,7 +87,7 @@ class WitMotionVoice(Voice):
         return b""
 
 
-class WitMotionCanVoice(WitMotionVoice):
+class WitMotionCanEmulator(WitMotionEmulator):
     """The same as CAN frames."""
 
     framing = Framing.CAN
@@ -104,17 +104,17 @@ class WitMotionCanVoice(WitMotionVoice):
         identifier = self.registers[_ADDRESS]
         return {} if identifier == IDENTIFIER else {"identifier": identifier}
 
-    def hear(self, data: bytes, device: EmulatedDevice) -> bytes:
+    def receive(self, data: bytes, device: EmulatedDevice) -> bytes:
         """Obey frames of its identifier."""
         frames = unpack_can_records(data)
         own = b"".join(each.data for each in frames if each.identifier == self.registers[_ADDRESS])
-        return super().hear(own, device)
+        return super().receive(own, device)
 
     def _encoded(self, kind: int, numbers: list[int]) -> bytes:
         return encode_can(kind, numbers, self.registers[_ADDRESS])
 
 
-def witmotion_can_voices(modules: Sequence[int], field_ut: float) -> Mapping[int, Voice]:
-    """Return the voices of devices that may share a bus: each has an identifier of its own."""
+def witmotion_can_emulators(modules: Sequence[int], field_ut: float) -> Mapping[int, VendorEmulator]:
+    """Return the emulators of devices that may share a bus: each has an identifier of its own."""
     identifiers = enumerate(modules, start=IDENTIFIER)
-    return {each: WitMotionCanVoice(each, field_ut, identifier) for identifier, each in identifiers}
+    return {each: WitMotionCanEmulator(each, field_ut, identifier) for identifier, each in identifiers}
