@@ -15,10 +15,11 @@ import asyncio
 import contextlib
 import itertools
 import logging
+import math
 import secrets
 import time
-from collections.abc import Callable, Coroutine, Sequence
-from contextlib import AsyncExitStack
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -37,6 +38,9 @@ from gateway.outputs.connection import (
 from gateway.outputs.settings import MqttSettings
 
 _log = logging.getLogger(__name__)
+
+_SETTLED_S = 1.0
+"""An address whose connection lasts for so long has let us in; one that hangs up sooner has failed."""
 
 
 class BrokerTurns:
@@ -76,6 +80,40 @@ class BrokerTurns:
     def others(self) -> list[MqttSettings]:
         """Return the other addresses, the next one first."""
         return [*self._doors[self._turn + 1 :], *self._doors[: self._turn]]
+
+
+Use = Callable[[aiomqtt.Client], Coroutine[Any, Any, None]]
+
+
+async def keep_connected(
+    turns: BrokerTurns,
+    connect: Callable[[], AbstractAsyncContextManager[aiomqtt.Client]],
+    use: Use,
+    lost: Callable[[Exception], None],
+    stopping: asyncio.Event,
+) -> None:
+    """Call ``use`` with a connection, again with one to the next address when that is lost, until it is
+    stopping.
+
+    connect: to the address whose turn it is. use: returns where another connection is wanted. lost: told why
+    a connection was lost, or could not be made; what it raises ends all.
+    """
+    back_off = broker_back_off()
+    while not stopping.is_set():
+        begun_s, is_all_away = math.inf, False
+        try:
+            async with connect() as client:
+                begun_s = time.monotonic()
+                await use(client)
+            turns.succeeded()
+        except Exception as error:
+            lost(error)
+            if time.monotonic() - begun_s > _SETTLED_S:
+                back_off.reset()
+                turns.succeeded()
+            is_all_away = turns.failed()
+        if is_all_away:
+            await nap(back_off.next_delay(), stopping)
 
 
 async def keep_asking(
@@ -176,33 +214,27 @@ class ClusterConnection:
 
     async def run(
         self,
-        use: Callable[[aiomqtt.Client], Coroutine[Any, Any, None]],
+        use: Use,
         lost: Callable[[Exception], None],
         stopping: asyncio.Event,
         companions: Companions = Companions(),
     ) -> None:
-        """Call ``use`` with a connection, again with another one when that is lost, until it is stopping.
+        """Do as ``keep_connected`` does; a connection that is lost is replaced by the one that stands by."""
 
-        lost: told why a connection was lost, or could not be made.
-        """
-        back_off = broker_back_off()
+        async def use_beside_companions(client: aiomqtt.Client) -> None:
+            await first_to_end(use(client), *self._companions(client, companions))
+
         try:
-            while not stopping.is_set():
-                is_all_away = False
-                try:
-                    client, stack, _ = self._take() or await self._connected(self._turns.settings)
-                    back_off.reset()
-                    self._turns.succeeded()
-                    async with stack:
-                        await first_to_end(use(client), *self._companions(client, companions))
-                except Exception as error:
-                    lost(error)
-                    is_all_away = self._turns.failed()
-                if is_all_away:
-                    await nap(back_off.next_delay(), stopping)
+            await keep_connected(self._turns, self._next, use_beside_companions, lost, stopping)
         finally:
             if self._ready is not None:
                 await self._ready.stack.aclose()
+
+    @contextlib.asynccontextmanager
+    async def _next(self) -> AsyncIterator[aiomqtt.Client]:
+        ready = self._take() or await self._connected(self._turns.settings)
+        async with ready.stack:
+            yield ready.client
 
     def _companions(self, client: aiomqtt.Client, of: Companions) -> list[Coroutine[Any, Any, None]]:
         """Return what goes on while a connection is in use."""
@@ -337,17 +369,17 @@ async def follow_kept(
     On a connection of its own: a cluster that has lost a node may not tell what it retains for some seconds,
     and answers nothing else on that connection meanwhile.
     """
-    back_off, turns = broker_back_off(), BrokerTurns(settings, settings.port)
-    while True:
-        door = turns.settings
-        try:
-            async with broker_connection(door, door.port, unique_identifier(role)) as client:
-                await client.subscribe([(topic, 0) for topic in filters])
-                back_off.reset()
-                turns.succeeded()
-                async for message in client.messages:
-                    take(message)
-        except Exception as error:
-            _log.debug("what is retained: %s", explain(error, door, door.port))
-            turns.failed()
-        await asyncio.sleep(back_off.next_delay())
+    turns = BrokerTurns(settings, settings.port)
+
+    async def read(client: aiomqtt.Client) -> None:
+        await client.subscribe([(topic, 0) for topic in filters])
+        async for message in client.messages:
+            take(message)
+
+    def connect() -> AbstractAsyncContextManager[aiomqtt.Client]:
+        return broker_connection(turns.settings, turns.settings.port, unique_identifier(role))
+
+    def lost(error: Exception) -> None:
+        _log.debug("what is retained: %s", explain(error, turns.settings, turns.settings.port))
+
+    await keep_connected(turns, connect, read, lost, asyncio.Event())
