@@ -40,9 +40,6 @@ _REFRESH_S = 0.5
 _LAST_FLUSH_S = 600.0
 """Longest wait for another command that changes the archive, before what was collected is given up."""
 
-Failover = Annotated[
-    list[str] | None, typer.Option(metavar="HOST:PORT", help="A further node of the cluster; repeatable.")
-]
 Wearers = Annotated[
     Path | None, typer.Option(help="YAML file that names the wearer of each gateway: {gw001: anna, …}.")
 ]
@@ -59,7 +56,6 @@ TokenFile = Annotated[
 @with_broker
 def list_gateways(
     broker: BrokerChoice,
-    failover: Failover = None,
     wearers: Wearers = None,
     seconds: Annotated[
         float, typer.Option(min=1, max=600, help="How long rates and losses are measured.")
@@ -67,7 +63,7 @@ def list_gateways(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
 ) -> None:
     """Show every gateway once: wearer, state, rate, loss, delay, disk, versions. Ends with 1 on an alert."""
-    rows = asyncio.run(_measured(_at_cluster(broker, failover), read_wearers(wearers), seconds))
+    rows = asyncio.run(_measured(broker.settings(), read_wearers(wearers), seconds))
     if as_json:
         from gateway.fleet.overview import as_plain
 
@@ -84,14 +80,13 @@ def list_gateways(
 @with_broker
 def watch(
     broker: BrokerChoice,
-    failover: Failover = None,
     wearers: Wearers = None,
     page_port: PagePort = None,
     page_host: PageHost = LOOPBACK,
     token_file: TokenFile = None,
 ) -> None:
     """Show every gateway, renewed twice a second, in the terminal and on a page with links to the bodies."""
-    settings, names = _at_cluster(broker, failover), read_wearers(wearers)
+    settings, names = broker.settings(), read_wearers(wearers)
     _end_on_sigterm()
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(_watch(settings, names, page_port, page_host, token_file))
@@ -146,7 +141,6 @@ def configure(
         list[str],
         typer.Option("--set", metavar="NAME=VALUE", help="A setting; null: as the gateway's file says."),
     ],
-    failover: Failover = None,
     apply: Annotated[
         bool, typer.Option("--apply", help="Take them into use; else the differences are shown alone.")
     ] = False,
@@ -161,7 +155,7 @@ def configure(
     """
     from gateway.fleet.configuring import differences, push, settings_of
 
-    settings, wanted = _at_cluster(broker, failover), settings_of(given)
+    settings, wanted = broker.settings(), settings_of(given)
     for name in gateways:
         for each in asyncio.run(differences(settings, name, wanted)):
             values = json.dumps(each["before"]), json.dumps(each["after"])
@@ -204,20 +198,6 @@ async def _for_a_while(watching: object, seconds: float | None) -> None:
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(seconds):
             await watching  # type: ignore[misc]
-
-
-def _at_cluster(broker: BrokerChoice, failover: list[str] | None) -> MqttSettings:
-    settings = broker.settings()
-    if not failover:
-        return settings
-    from pydantic import ValidationError
-
-    try:
-        return MqttSettings.model_validate(settings.model_dump() | {"failover": tuple(failover)})
-    except ValidationError:
-        raise GatewayError(
-            f"--failover {' '.join(failover)}: HOST:PORT is wanted, such as broker2:1883"
-        ) from None
 
 
 def read_wearers(path: Path | None) -> dict[str, str]:
@@ -362,7 +342,6 @@ def collect(
     broker: BrokerChoice,
     archive: ArchiveFolder,
     site: Site,
-    failover: Failover = None,
     wearers: Wearers = None,
     seconds: Annotated[float | None, typer.Option(min=1, help="End after so long; else on Ctrl-C.")] = None,
     flush: Annotated[float, typer.Option(min=1, max=3600, help="Write what waits so often, s.")] = 60,
@@ -371,7 +350,7 @@ def collect(
     from gateway.fleet.archive import Archive
     from gateway.fleet.collecting import Collector
 
-    settings = _at_cluster(broker, failover)
+    settings = broker.settings()
     kept = Archive(archive, is_new=True)
     collector = Collector(kept, site, settings.base_topic, read_wearers(wearers))
     _end_on_sigterm()

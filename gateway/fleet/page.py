@@ -87,7 +87,9 @@ class Bodies:
         (port,) = free_ports(1)
         settings = self._settings
         arguments = ["--host", settings.host, "--port", str(settings.port), "--gateway", gateway]
-        arguments += ["--base-topic", settings.base_topic, "--page-port", str(port), "--wait"]
+        arguments += [f"--failover={address}" for address in settings.failover]
+        arguments += ["--base-topic", settings.base_topic, "--protocol", settings.protocol]
+        arguments += ["--page-port", str(port), "--wait"]
         if settings.username is not None:
             arguments += ["--username", settings.username]
         if settings.tls is not None and settings.tls.ca_file is not None:

@@ -27,6 +27,7 @@ import aiomqtt
 from pydantic import ValidationError
 
 from gateway.contract.messages import EchoMessage
+from gateway.errors import GatewayError
 from gateway.outputs.connection import (
     broker_back_off,
     broker_connection,
@@ -38,6 +39,11 @@ from gateway.outputs.connection import (
 from gateway.outputs.settings import MqttSettings
 
 _log = logging.getLogger(__name__)
+
+
+class BrokerUnreachableError(GatewayError, ConnectionError):
+    """No broker there, or it refuses us. ``str(error)`` says which and what would do."""
+
 
 _SETTLED_S = 1.0
 """An address whose connection lasts for so long has let us in; one that hangs up sooner has failed."""
@@ -80,6 +86,42 @@ class BrokerTurns:
     def others(self) -> list[MqttSettings]:
         """Return the other addresses, the next one first."""
         return [*self._doors[self._turn + 1 :], *self._doors[: self._turn]]
+
+
+class Admitted(NamedTuple):
+    """A connection, and the address that has let us in."""
+
+    client: aiomqtt.Client
+    settings: MqttSettings
+
+
+@contextlib.asynccontextmanager
+async def any_connection(
+    settings: MqttSettings, role: str, filters: Sequence[str] = ()
+) -> AsyncIterator[Admitted]:
+    """Connect and subscribe once, at the first address that lets us. role: part of the client identifier.
+
+    Raises ``BrokerUnreachableError`` where none does.
+    """
+    turns = BrokerTurns(settings, settings.port)
+    async with AsyncExitStack() as stack:
+        while True:
+            door = turns.settings
+            try:
+                client = await stack.enter_async_context(_subscribed(door, role, filters))
+                break
+            except Exception as error:
+                if turns.failed():
+                    raise BrokerUnreachableError(explain(error, door, door.port)) from error
+        yield Admitted(client, door)
+
+
+@contextlib.asynccontextmanager
+async def _subscribed(door: MqttSettings, role: str, filters: Sequence[str]) -> AsyncIterator[aiomqtt.Client]:
+    async with broker_connection(door, door.port, unique_identifier(role)) as client:
+        for topic in filters:
+            await client.subscribe(topic, qos=1)
+        yield client
 
 
 Use = Callable[[aiomqtt.Client], Coroutine[Any, Any, None]]
