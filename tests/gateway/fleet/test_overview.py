@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import json
 import urllib.request
-from typing import Any
+from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING, Any
 
+import aiomqtt
 import orjson
 import psutil
 import pytest
@@ -13,8 +17,14 @@ import pytest
 from gateway.contract.messages import BridgeHealth, BridgeInfo, OutputCounters, UtcAnchor
 from gateway.errors import GatewayError
 from gateway.fleet import cluster as clusters
-from gateway.fleet.overview import Fleet, Row
+from gateway.fleet.overview import Fleet, Row, listener, take_into
+from gateway.outputs.connection import broker_connection, unique_identifier
+from gateway.outputs.mqtt import MqttOutput
 from tests.patience import PATIENCE_S
+
+if TYPE_CHECKING:
+    from tests.fixtures.clusters import GuardedCluster
+    from tests.fixtures.poses import PoseSource
 
 INFO = BridgeInfo(
     version="1.0",
@@ -117,6 +127,26 @@ def test_alerts_say_what_is_wrong():
     assert d.alerts == ("poses are 500 ms late",)
 
 
+def test_who_has_left_is_no_longer_shown_until_they_come_back():
+    """Somebody before cameras takes off the broker what is kept of them; one who died stays offline."""
+    heard = Heard()
+    for name in ("lab", "lab_2"):
+        heard.online(name)
+        heard.poses(range(10), name)
+    heard.say("lab/bridge/state", b'{"state":"offline"}')  # its will
+    heard.say("lab_2/bridge/state", b'{"state":"offline"}')
+    for below in ("bridge/info", "body", "bridge/state"):
+        heard.say(f"lab_2/{below}", b"")
+    heard.pose(10, "lab_2")  # was on its way, over another connection
+    heard.say("lab_2/pose/late", b'{"t_ns":1,"seq":10}')
+    heard.say("lab_2/module/1/state", b"")
+    assert [(row.gateway, row.state) for row in heard.fleet.rows(heard.now_s)] == [("lab", "offline")]
+    heard.online("lab_2")
+    heard.poses(range(3), "lab_2")
+    back = heard.row(1)
+    assert (back.gateway, back.state, back.lost) == ("lab_2", "online", 0)
+
+
 @pytest.mark.parametrize(
     "said",
     [
@@ -168,6 +198,40 @@ def test_the_demonstration_shows_all_gateways_on_a_page_that_names_no_stranger(
     running.terminate()
     running.wait()
     assert psutil.wait_procs(started, timeout=PATIENCE_S)[1] == []
+
+
+@pytest.mark.system
+async def test_who_leaves_goes_from_every_node_and_who_dies_stays_offline_on_all(
+    cluster: GuardedCluster, pose_source: PoseSource, until: Callable[..., Awaitable[None]]
+) -> None:
+    fleet = Fleet()
+
+    def states() -> dict[str, str]:
+        return {row.gateway: row.state for row in fleet.rows(0.0)}
+
+    receiver = listener(cluster.settings(first=1), take_into(fleet))
+    listening = asyncio.create_task(receiver.run())
+    await receiver.subscribed.wait()
+    person = MqttOutput(cluster.settings("ward"), pose_source.skeleton, pose_source.info("ward"))
+    person.leaves_nothing = True
+    lab, will = cluster.settings("lab"), aiomqtt.Will("mocap/lab/bridge/state", b'{"state":"offline"}', 1, True)
+    async with person:
+        with contextlib.suppress(ConnectionResetError):
+            async with broker_connection(lab, lab.port, unique_identifier("test"), will) as dying:
+                await dying.publish("mocap/lab/bridge/state", b'{"state":"online"}', 1, True)
+                await until(lambda: states() == {"lab": "online", "ward": "online"})
+                raise ConnectionResetError
+        await until(lambda: states() == {"lab": "offline", "ward": "online"})
+    await until(lambda: states() == {"lab": "offline"})
+    listening.cancel()
+    await asyncio.gather(listening, return_exceptions=True)
+    for node in range(len(cluster.nodes)):
+        later = Fleet()
+        asked = listener(cluster.settings(first=node), take_into(later))
+        task = asyncio.create_task(asked.run())
+        await until(lambda later=later: [row.state for row in later.rows(0.0)] == ["offline"])
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
 
 
 @pytest.mark.system
