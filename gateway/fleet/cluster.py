@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import secrets
 import shutil
 import signal
@@ -27,6 +28,8 @@ READER = "overview"
 """User that may listen to all gateways, and ask them."""
 OPERATOR = "operator"
 """User that may also change the settings of gateways which allow it."""
+_NAME = re.compile(r"[^\s\0#+/*>]+")
+"""No wildcard of MQTT or NATS, nor a separator of either: rights on such a name were rights on others."""
 LEAF = "leaf-"
 """Beginning of the users as which nodes at sites connect; gateways there have rights at that node."""
 _NOWHERE = "127.0.0.1:1"
@@ -97,9 +100,18 @@ def write_users(
     """Write ``users.conf`` and a file with the password of each user, for the eyes of their owner alone.
 
     sites: names of those with a node of their own. A user that has a password already keeps it, named here or
-    not. Returns the names of all users. Raises
-    ``GatewayError`` for a name that cannot stand in a topic.
+    not. Returns the names of all users. Raises ``GatewayError`` for a name that cannot be that of a user.
     """
+    for what, name in (
+        *(("gateway", each) for each in gateways),
+        *(("--site", each) for each in sites),
+        *(("--base-topic", level) for level in base_topic.split("/")),
+    ):
+        if not _NAME.fullmatch(name) or not name.strip("."):
+            raise GatewayError(
+                f"{what} '{name}': must not be empty, nor hold any of # + / * > or white space, for what the "
+                "brokers' rights are written with; a name of dots alone is none"
+            )
     taken = [name for name in gateways if name in (READER, OPERATOR) or name.startswith(LEAF)]
     if taken:
         raise GatewayError(
