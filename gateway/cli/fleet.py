@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import csv
 import json
 import signal
+import sys
 import tempfile
 import time
 from collections.abc import AsyncIterator
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -37,6 +39,9 @@ fleet_app = typer.Typer(
 LOOPBACK = "127.0.0.1"
 TOKEN_VARIABLE = "MOCAP_PAGE_TOKEN"
 _REFRESH_S = 0.5
+_LOOK_S = 1.0
+"""Between two looks whether what was collected is to be written."""
+_AFTER_TROUBLE_S = 10.0
 _LAST_FLUSH_S = 600.0
 """Longest wait for another command that changes the archive, before what was collected is given up."""
 
@@ -204,14 +209,17 @@ def read_wearers(path: Path | None) -> dict[str, str]:
     """Return the wearer of each gateway by a YAML file. Raises ``GatewayError`` for one that is none."""
     if path is None:
         return {}
-    import yaml
+    from gateway.support.settings_files import load_yaml
 
-    try:
-        told = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise GatewayError(f"{path} is no YAML: {str(error).splitlines()[0]}") from None
-    if not isinstance(told, dict) or not all(isinstance(text, str) for pair in told.items() for text in pair):
+    told = load_yaml(path)
+    if not isinstance(told, dict):
         raise GatewayError(f"{path}: a wearer's name by gateway is wanted, such as gw001: anna")
+    for gateway, name in told.items():
+        if not isinstance(gateway, str) or not isinstance(name, str) or not name.strip():
+            raise GatewayError(
+                f"{path}: {gateway!r}: {name!r}: a wearer's name by gateway is wanted, in quotes where it looks "
+                "like a number or a date"
+            )
     return told
 
 
@@ -350,16 +358,20 @@ def collect(
     from gateway.fleet.archive import Archive
     from gateway.fleet.collecting import Collector
 
-    settings = broker.settings()
+    settings, names = broker.settings(), read_wearers(wearers)
     kept = Archive(archive, is_new=True)
-    collector = Collector(kept, site, settings.base_topic, read_wearers(wearers))
+    collector = Collector(kept, site, settings.base_topic, names)
     _end_on_sigterm()
     with kept.collecting(site):
         with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(_for_a_while(_collect(settings, collector, flush), seconds))
-        with kept.locked("collect", _LAST_FLUSH_S):
-            collector.flush()
-            files = kept.renew_catalogue()
+        try:
+            with kept.locked("collect", _LAST_FLUSH_S):
+                collector.flush()
+                files = kept.renew_catalogue()
+        finally:
+            if collector.waiting:
+                typer.echo(f"{collector.waiting} poses could not be written, and are lost", err=True)
     typer.echo(
         f"{collector.rows} poses kept, {collector.repeated} were there already, "
         f"{collector.undecodable} not readable, {collector.missed} came too fast to be kept; {files} files"
@@ -369,23 +381,27 @@ def collect(
 async def _collect(settings: MqttSettings, collector: Collector, flush_s: float) -> None:
     from gateway.fleet.archive import ArchiveError
     from gateway.fleet.overview import listener
+    from gateway.outputs.connection import first_to_end
 
     async def write() -> None:
+        due_s = time.monotonic() + flush_s
         while True:
-            await asyncio.sleep(flush_s)
+            await asyncio.sleep(_LOOK_S)
+            if time.monotonic() < due_s and not collector.is_full:
+                continue
             try:
                 with collector.archive.locked("collect"):
                     collector.flush()
-            except ArchiveError as error:
-                typer.echo(f"{error}; poses are written when that is done", err=True)
+            except (ArchiveError, OSError) as error:
+                typer.echo(f"{error}; {collector.waiting} poses wait to be written", err=True)
+                await asyncio.sleep(_AFTER_TROUBLE_S)
+            due_s = time.monotonic() + flush_s
 
     receiver = listener(settings, collector.take)
-    writing = asyncio.ensure_future(write())
     try:
-        await receiver.run()
+        await first_to_end(receiver.run(), write())
     finally:
-        writing.cancel()
-        collector.missed = receiver.dropped
+        collector.missed += receiver.dropped
 
 
 @archive_app.command(
@@ -403,11 +419,13 @@ def add(
 
     kept = Archive(archive, is_new=True)
     with kept.locked("add"):
-        for path in recordings:
-            _, rows = kept.add(open_recording(path), path, site, wearer)
-            told = f"{rows} poses" if rows else "no new poses"
-            typer.echo(f"{path}: {told}, wearer {kept.pseudonym(wearer)}")
-        kept.renew_catalogue()
+        try:
+            for path in recordings:
+                _, rows = kept.add(open_recording(path), path, site, wearer)
+                told = f"{rows} poses" if rows else "no new poses"
+                typer.echo(f"{path}: {told}, wearer {kept.pseudonym(wearer)}")
+        finally:
+            kept.renew_catalogue()
 
 
 @archive_app.command("list", epilog="Example: mocap-gateway fleet archive list --archive clinic")
@@ -436,10 +454,11 @@ def _ask(folder: Path, sql: str) -> None:
     from gateway.fleet.archive import Archive
 
     names, rows = Archive(folder).query(sql)
+    lines = csv.writer(sys.stdout, lineterminator="\n")
     if names:
-        typer.echo(",".join(names))
+        lines.writerow(names)
     for row in rows:
-        typer.echo(",".join("" if value is None else printable(str(value)) for value in row))
+        lines.writerow("" if value is None else printable(str(value)) for value in row)
 
 
 @archive_app.command(
@@ -492,10 +511,17 @@ def forget(
     from gateway.fleet.archive import Archive
 
     kept = Archive(archive)
-    if not yes:
-        typer.confirm(f"Delete all that {archive} keeps of {wearer} ({kept.pseudonym(wearer)})?", abort=True)
+    who = f"{printable(wearer)} ({kept.pseudonym(wearer)})"
     with kept.nobody_collects(), kept.locked("forget"):
+        if not yes:
+            files = sum(len(list(folder.iterdir())) for folder in kept.folders_of(wearer))
+            typer.confirm(f"Delete all that {archive} keeps of {who}: {files} files?", abort=True)
         files, left = kept.forget(wearer)
+    if not files and not left:
+        raise GatewayError(
+            f"{archive} keeps nothing of {who}: give the name as `add` or the file of --wearers had it; "
+            "a gateway without a wearer goes by its own name"
+        )
     typer.echo(f"{files} files deleted; {left} files still hold the name or the pseudonym")
     for path in kept.traces(wearer) if left else ():
         typer.echo(f"  {path}", err=True)
@@ -513,7 +539,10 @@ def expire(
     """Delete all of the days before one: retention, to be called once a day."""
     from gateway.fleet.archive import Archive
 
+    day = before.strftime("%Y-%m-%d")
+    if before.date() > datetime.now(UTC).date():
+        raise GatewayError(f"--before {day}: that day is to come, and nothing would be kept: name today's, or earlier")
     kept = Archive(archive)
     with kept.locked("expire"):
-        files = kept.expire(before.strftime("%Y-%m-%d"))
+        files = kept.expire(day)
     typer.echo(f"{files} files deleted")

@@ -19,10 +19,12 @@ import hashlib
 import hmac
 import itertools
 import json
+import logging
 import os
 import re
 import secrets
 import shutil
+import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -43,6 +45,8 @@ from gateway.support.whole_files import replacing
 if TYPE_CHECKING:
     import pyarrow as pa
 
+_log = logging.getLogger(__name__)
+
 PROVENANCE = b"mocap"
 """Key of what a file tells of itself: a JSON object."""
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
@@ -51,6 +55,10 @@ _COLLECTING = ".collecting_"
 """Beginning of the names of files by which a site is collected for once at a time."""
 _ROWS = 1000
 """Of an answer, fetched at a time."""
+_KEY_BYTES = 32
+_SHORTEST_SOUGHT = 4
+_BEGIN_S = 20.0
+"""Longest wait for another command that makes the same archive."""
 
 
 class ArchiveError(GatewayError):
@@ -67,6 +75,12 @@ class Partition:
     """YYYY-MM-DD, UTC."""
     wearer: str
     """Pseudonym."""
+
+    def __post_init__(self) -> None:
+        """Raise ``ArchiveError`` for a name that would lead out of the archive: methods and days are those of
+        recordings and gateways, whoever made them."""
+        for what in ("method", "site", "day", "wearer"):
+            checked_name(what, getattr(self, what))
 
     @property
     def folder(self) -> Path:
@@ -112,16 +126,49 @@ class Archive:
         if not self._key_file.exists():
             if not is_new:
                 raise ArchiveError(f"{folder} is no archive: make one with `fleet archive add` or `collect`")
-            folder.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            self._begin()
+        self._key = self._read_key()
+
+    def _begin(self) -> None:
+        """Make the folder and the key; where two do so at once, the key of one is both's."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            raise ArchiveError(f"{self.folder} is a file: name a folder for the archive") from None
+        with self.locked("begin", _BEGIN_S):
+            if not self._key_file.exists():
+                self._make_key()
+                self.renew_catalogue()
+
+    def _make_key(self) -> None:
+        descriptor = os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        try:
             with os.fdopen(descriptor, "w") as file:
-                file.write(secrets.token_hex(32))
-            self.renew_catalogue()
-        self._key = bytes.fromhex(self._key_file.read_text().strip())
+                file.write(secrets.token_hex(_KEY_BYTES))
+        except OSError as error:
+            self._key_file.unlink()
+            error.filename = str(self._key_file)
+            raise
+
+    def _read_key(self) -> bytes:
+        try:
+            key = bytes.fromhex(self._key_file.read_text().strip())
+        except ValueError:
+            key = b""
+        if len(key) != _KEY_BYTES:
+            raise ArchiveError(
+                f"{self._key_file} holds no key, and pseudonyms are made with it: put it back from a copy, "
+                "or begin another archive"
+            )
+        return key
 
     def pseudonym(self, wearer: str) -> str:
-        """Return the id of a wearer: always the same in this archive, and in no other."""
-        return hmac.new(self._key, wearer.encode(), hashlib.sha256).hexdigest()[:_DIGITS]
+        """Return the id of a wearer: always the same in this archive, and in no other, however the letters
+        of the name are composed. Raises ``ArchiveError`` for an empty name."""
+        name = _composed(wearer)
+        if not name:
+            raise ArchiveError("the name of a wearer is empty: name who wore the suit")
+        return hmac.new(self._key, name.encode(), hashlib.sha256).hexdigest()[:_DIGITS]
 
     @contextlib.contextmanager
     def locked(self, what: str, patience_s: float = 0.0) -> Iterator[None]:
@@ -203,14 +250,14 @@ class Archive:
         return kept, len(arrays.time_ns)
 
     def entries(self) -> Iterator[dict[str, object]]:
-        """Yield what every file of rows says of itself."""
-        pq = parquet()
+        """Yield what every file of rows says of itself; one that cannot be read is told in the log."""
         for path in sorted(self.poses.rglob("*.parquet")):
-            if path.name.startswith("."):
-                continue
-            told = pq.read_metadata(path)
-            provenance = json.loads((told.metadata or {}).get(PROVENANCE, b"{}"))
+            told = _told_by(path)
             folders = path.relative_to(self.poses).parts[:-1]
+            if told is None or not all("=" in folder for folder in folders):
+                _log.warning("%s is no file of rows of an archive, and left out: delete it", path)
+                continue
+            provenance = json.loads((told.metadata or {}).get(PROVENANCE, b"{}"))
             yield {
                 "file": str(path.relative_to(self.folder)),
                 **dict(folder.split("=", 1) for folder in folders),
@@ -245,13 +292,16 @@ class Archive:
             parquet().write_table(pa.Table.from_pylist(entries, schema), partial)
         return len(entries)
 
+    def folders_of(self, wearer: str) -> list[Path]:
+        """Return all folders with files of a wearer, by name."""
+        return sorted(self.folder.rglob(f"wearer={self.pseudonym(wearer)}"))
+
     def forget(self, wearer: str) -> tuple[int, int]:
         """Delete all that is kept of a wearer, by name. Returns how many files, and how many still name them.
 
         The second is 0, unless a file that belongs to somebody else holds the name or the pseudonym.
         """
-        who = self.pseudonym(wearer)
-        files = self._delete(list(self.folder.rglob(f"wearer={who}")))
+        files = self._delete(self.folders_of(wearer))
         return files, sum(1 for _ in self.traces(wearer))
 
     def expire(self, before: str) -> int:
@@ -260,8 +310,12 @@ class Archive:
         return self._delete([day for day in days if day.name.removeprefix("day=") < before])
 
     def traces(self, wearer: str) -> Iterator[Path]:
-        """Yield every file of the archive whose path or bytes hold the name of a wearer, or the pseudonym."""
-        sought = [wearer.encode(), self.pseudonym(wearer).encode()]
+        """Yield every file of the archive whose path or bytes hold the name of a wearer, or the pseudonym.
+
+        A name of less than ``_SHORTEST_SOUGHT`` bytes is not sought: it would be found anywhere, by chance.
+        """
+        names = {wearer.strip().encode(), _composed(wearer).encode()}
+        sought = [self.pseudonym(wearer).encode(), *(each for each in names if len(each) >= _SHORTEST_SOUGHT)]
         for path in sorted(self.folder.rglob("*")):
             if not path.is_file() or path == self._key_file:
                 continue
@@ -270,8 +324,11 @@ class Archive:
                 yield path
 
     def _delete(self, folders: Sequence[Path]) -> int:
-        """Delete folders, and those that are empty then. Returns how many files were in them."""
+        """Delete folders, those that are empty then, and what a command that was killed has left half
+        written. Returns how many files were in the folders."""
         files = 0
+        for path in (*self.folder.rglob(".*.parquet.*"), *self.folder.rglob(".*.mcap.*")):
+            path.unlink()
         for folder in folders:
             files += sum(path.is_file() for path in folder.rglob("*"))
             shutil.rmtree(folder)
@@ -288,7 +345,8 @@ class Archive:
         """Return the numbers of the poses of a running gateway that are kept already."""
         pq, found = parquet(), set[int]()
         for path in self.poses.rglob("stream_*.parquet"):
-            told = json.loads((pq.read_metadata(path).metadata or {}).get(PROVENANCE, b"{}"))
+            about = _told_by(path)
+            told = json.loads(((about and about.metadata) or {}).get(PROVENANCE, b"{}"))
             if told.get("gateway") == gateway_name and instance in told.get("instances", []):
                 table = pq.read_table(path, columns=["instance", "seq"], partitioning=None)
                 pairs = zip(table["instance"].to_pylist(), table["seq"].to_pylist(), strict=True)
@@ -305,6 +363,9 @@ class Archive:
         except ImportError:
             raise ArchiveError(f"a query needs the extra 'fleet': {how_to_add('fleet')}") from None
         connection = duckdb.connect()
+        if _told_by(self.folder / "catalogue.parquet") is None:
+            with self.locked("query"):  # it is made of the files, which are the truth
+                self.renew_catalogue()
         files = str(self.poses / "**" / "*.parquet").replace("'", "''")
         catalogue = str(self.folder / "catalogue.parquet").replace("'", "''")
         types = "{'day': DATE, 'wearer': VARCHAR, 'site': VARCHAR, 'method': VARCHAR}"
@@ -319,7 +380,30 @@ class Archive:
             names = [column[0] for column in connection.description or ()]
             return names, itertools.chain.from_iterable(iter(lambda: connection.fetchmany(_ROWS), []))
         except duckdb.Error as error:
-            raise ArchiveError(f"DuckDB: {str(error).splitlines()[0]}") from None
+            raise ArchiveError(f"DuckDB: {str(error).splitlines()[0]}{self._hint(str(error))}") from None
+
+    def _hint(self, said: str) -> str:
+        """Return what would help, after an answer of DuckDB."""
+        if str(self.poses) in said:
+            return ": that file is damaged, delete it"
+        if "poses does not exist" in said:
+            return " There are no poses in this archive yet."
+        return ""
+
+
+def _composed(name: str) -> str:
+    """Return a name in the one form that its letters and accents have when they are composed."""
+    return unicodedata.normalize("NFC", name.strip())
+
+
+def _told_by(path: Path) -> Any:
+    """Return the metadata of a Parquet file; None for what is none, such as half of one."""
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+
+    try:
+        return parquet().read_metadata(path)
+    except (pa.ArrowInvalid, FileNotFoundError):
+        return None
 
 
 def digest_of(path: Path) -> str:

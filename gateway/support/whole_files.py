@@ -32,12 +32,13 @@ def write_whole(path: Path, content: bytes) -> None:
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give an empty file to write, which takes the place of ``path`` in the end; after an error it is gone,
-    and all is as it was before."""
+    and all is as it was before. An ``OSError`` names ``path``."""
     path = path.resolve()  # what a link stands for is replaced, not the link
     mode = path.stat().st_mode if path.exists() else 0o666 & ~_umask()
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    made = Path(name)
+    prefix, made = f".{path.name}.", None
     try:
+        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=prefix)
+        made = Path(name)
         try:
             yield made
             os.fsync(descriptor)
@@ -45,8 +46,11 @@ def replacing(path: Path) -> Iterator[Path]:
             os.close(descriptor)
         made.chmod(mode & 0o7777)
         made.replace(path)
-    except BaseException:
-        made.unlink(missing_ok=True)
+    except BaseException as error:
+        if made is not None:
+            made.unlink(missing_ok=True)
+        if isinstance(error, OSError) and (error.filename is None or prefix in str(error.filename)):
+            error.filename = str(path)
         raise
 
 
