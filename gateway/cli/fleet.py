@@ -217,8 +217,8 @@ def read_wearers(path: Path | None) -> dict[str, str]:
     for gateway, name in told.items():
         if not isinstance(gateway, str) or not isinstance(name, str) or not name.strip():
             raise GatewayError(
-                f"{path}: {gateway!r}: {name!r}: a wearer's name by gateway is wanted, in quotes where it looks "
-                "like a number or a date"
+                f"{path}: {gateway!r}: {name!r}: a wearer's name by gateway is wanted, in quotes where it "
+                "looks like a number or a date"
             )
     return told
 
@@ -541,7 +541,9 @@ def expire(
 
     day = before.strftime("%Y-%m-%d")
     if before.date() > datetime.now(UTC).date():
-        raise GatewayError(f"--before {day}: that day is to come, and nothing would be kept: name today's, or earlier")
+        raise GatewayError(
+            f"--before {day}: that day is to come, and nothing would be kept: name today's, or one before"
+        )
     kept = Archive(archive)
     with kept.locked("expire"):
         files = kept.expire(day)

@@ -12,7 +12,6 @@ import aiomqtt
 import numpy as np
 import orjson
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from gateway.contract import topics
 from gateway.contract.messages import BridgeInfo
@@ -31,6 +30,8 @@ MOST_ROWS = 20_000
 MOST_WAITING = 500_000
 """Rows that wait to be written while a disk is full: less than a gigabyte of memory."""
 _NAMES = itertools.count()
+_NO_POSE = (ArchiveError, ValueError, OverflowError, TypeError, KeyError, AttributeError)
+"""Raised by messages that are not what their topic promises; ``ValidationError`` is a ``ValueError``."""
 
 
 @dataclass
@@ -85,7 +86,7 @@ class Collector:
                 self._infos[gateway] = info
             elif below in (topics.POSE, topics.LATE_POSE) and not message.retain:
                 self._take_pose(gateway, orjson.loads(message.payload), is_late=below == topics.LATE_POSE)
-        except (ArchiveError, ValidationError, ValueError, OverflowError, TypeError, KeyError, AttributeError):
+        except _NO_POSE:
             self.undecodable += 1
 
     def _take_pose(self, gateway: str, told: dict[str, Any], *, is_late: bool) -> None:

@@ -64,7 +64,7 @@ class Seen:
     """What was heard of one gateway."""
 
     has_left: bool = False
-    """Whether it has taken off the brokers what it had left there, as somebody before cameras does who goes."""
+    """Whether it has taken off the brokers what was kept of it, as people before cameras do who go."""
     state: str = "unknown"
     info: BridgeInfo | None = None
     health: BridgeHealth | None = None

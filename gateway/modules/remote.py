@@ -16,7 +16,6 @@ from gateway.contract import topics
 from gateway.contract.messages import BridgeState
 from gateway.contract.request_messages import ResponseMessage
 from gateway.contract.topics import ANY_GATEWAY, Topics
-from gateway.errors import GatewayError
 from gateway.modules.operations import Plain, RequestError
 from gateway.outputs.connection import explain
 from gateway.outputs.failover import BrokerUnreachableError, any_connection

@@ -27,9 +27,15 @@ USERS = ("gateway", "operator", "app")
 REQUEST = "mocap/gateway1/bridge/request/recording/start"
 POSE = "mocap/gateway1/pose"
 TOPICS = [
-    *(f"mocap/gateway1/{below}" for below in ("pose", "pose/late", "body", "module/1/state", "bridge/echo/1")),
+    *(
+        f"mocap/gateway1/{below}"
+        for below in ("pose", "pose/late", "body", "module/1/state", "bridge/echo/1")
+    ),
     *(f"mocap/gateway1/bridge/{below}" for below in ("state", "info", "health", "response/gateway/health")),
-    *(f"mocap/gateway1/bridge/request/{verb}" for verb in ("recording/start", "gateway/configure", "reset/full")),
+    *(
+        f"mocap/gateway1/bridge/request/{verb}"
+        for verb in ("recording/start", "gateway/configure", "reset/full")
+    ),
     "other/gateway1/pose",
     "homeassistant/device/x/config",
 ]

@@ -214,7 +214,8 @@ async def test_who_leaves_goes_from_every_node_and_who_dies_stays_offline_on_all
     await receiver.subscribed.wait()
     person = MqttOutput(cluster.settings("ward"), pose_source.skeleton, pose_source.info("ward"))
     person.leaves_nothing = True
-    lab, will = cluster.settings("lab"), aiomqtt.Will("mocap/lab/bridge/state", b'{"state":"offline"}', 1, True)
+    lab = cluster.settings("lab")
+    will = aiomqtt.Will("mocap/lab/bridge/state", b'{"state":"offline"}', 1, True)
     async with person:
         with contextlib.suppress(ConnectionResetError):
             async with broker_connection(lab, lab.port, unique_identifier("test"), will) as dying:

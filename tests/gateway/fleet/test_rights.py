@@ -1,4 +1,4 @@
-"""What each user of a cluster may publish and hear, on real brokers with the users that `fleet users` writes."""
+"""What each user of a cluster may publish and hear, on real brokers, with the users of `fleet users`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,12 @@ OWN = ("pose", "pose/late", "body", "bridge/state", "bridge/info", "bridge/healt
 ASKED = ("gateway/health", "recording/start", "modules/list", "reset/heading")
 SETTINGS = ("gateway/configure", "gateway/confirm")
 ANSWER = "bridge/response/gateway/health"
-ELSEWHERE = ("lab/pose", "other/lab/pose", "homeassistant/device/x/config", "$JS/API/STREAM/DELETE/$MQTT_rmsgs")
+ELSEWHERE = (
+    "lab/pose",
+    "other/lab/pose",
+    "homeassistant/device/x/config",
+    "$JS/API/STREAM/DELETE/$MQTT_rmsgs",
+)
 
 
 def of(gateway: str, *below: str) -> set[str]:
