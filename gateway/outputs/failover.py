@@ -16,6 +16,7 @@ import contextlib
 import itertools
 import logging
 import math
+import random
 import secrets
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
@@ -45,6 +46,9 @@ class BrokerUnreachableError(GatewayError, ConnectionError):
     """No broker there, or it refuses us. ``str(error)`` says which and what would do."""
 
 
+_SPREAD_S = 1.0
+"""Longest pause before another connection stands by in the place of one that was lost: all gateways of a node
+lose it at once, and the nodes that are left have poses to take first."""
 _SETTLED_S = 1.0
 """An address whose connection lasts for so long has let us in; one that hangs up sooner has failed."""
 
@@ -158,10 +162,15 @@ async def keep_connected(
             await nap(back_off.next_delay(), stopping)
 
 
+_QUESTIONS = 4
+"""In the time that an answer may take: a broker that falls silent just after an answer is noticed after 1.25
+of that time; asked twice, it was after 1.5."""
+
+
 async def keep_asking(
     client: aiomqtt.Client, within_s: float, on_answer: Callable[[float], None] | None = None
 ) -> None:
-    """Ask the broker for an answer twice in ``within_s``, for ever.
+    """Ask the broker for an answer ``_QUESTIONS`` times in ``within_s``, for ever.
 
     on_answer: told when the question that was answered had been asked (``time.monotonic()``, s): a broker
     reads in order, so that it has all that was published before. Raises ``aiomqtt.MqttError`` for an answer
@@ -190,7 +199,7 @@ async def keep_asking(
             raise aiomqtt.MqttError(f"the broker has not answered for {within_s:g} s")
         if on_answer is not None:
             on_answer(asked_s)
-        await asyncio.sleep(max(within_s / 2 - (time.monotonic() - asked_s), 0.0))
+        await asyncio.sleep(max(within_s / _QUESTIONS - (time.monotonic() - asked_s), 0.0))
 
 
 class _Ready(NamedTuple):
@@ -241,6 +250,7 @@ class ClusterConnection:
         self._role = role
         self._echo_topic = echo
         self._is_echo_heard = False  # there may be no right to
+        self._has_lost = False
         self._options = options
         self._ready: _Ready | None = None
 
@@ -266,8 +276,12 @@ class ClusterConnection:
         async def use_beside_companions(client: aiomqtt.Client) -> None:
             await first_to_end(use(client), *self._companions(client, companions))
 
+        def note_lost(error: Exception) -> None:
+            self._has_lost = True
+            lost(error)
+
         try:
-            await keep_connected(self._turns, self._next, use_beside_companions, lost, stopping)
+            await keep_connected(self._turns, self._next, use_beside_companions, note_lost, stopping)
         finally:
             if self._ready is not None:
                 await self._ready.stack.aclose()
@@ -309,6 +323,8 @@ class ClusterConnection:
         """Keep a connection to the next address, for ever; cancelled, it leaves it as it is."""
         back_off = broker_back_off()
         try:
+            if self._has_lost:
+                await asyncio.sleep(random.uniform(0, _SPREAD_S))
             for settings in itertools.cycle(self._turns.others()):
                 try:
                     ready = self._ready = await self._connected(settings)
@@ -351,7 +367,7 @@ class ClusterConnection:
 class _Echo:
     """A message that is published at one node, and listened for at another."""
 
-    MISSED = 3
+    MISSED = 4
     """In a row, after which it stays away. Our own pauses cost one."""
     REMEMBERED = 100
 
