@@ -421,21 +421,31 @@ def add(
     with kept.locked("add"):
         try:
             for path in recordings:
-                _, rows = kept.add(open_recording(path), path, site, wearer)
-                told = f"{rows} poses" if rows else "no new poses"
+                added = kept.add(open_recording(path), path, site, wearer)
+                told = f"{added.rows} poses" if added.rows else _WITHOUT_ROWS[added.is_new]
                 typer.echo(f"{path}: {told}, wearer {kept.pseudonym(wearer)}")
         finally:
             kept.renew_catalogue()
 
 
+_WITHOUT_ROWS = {
+    True: "kept; it holds no poses, `fleet archive solve` makes them",
+    False: "was there already",
+}
+"""Of a recording that gives no rows, by whether it is new."""
+
+
 @archive_app.command("list", epilog="Example: mocap-gateway fleet archive list --archive clinic")
 def list_archive(archive: ArchiveFolder) -> None:
     """Show the catalogue, by method, site, day and wearer."""
+    from gateway.fleet.archive import Archive
+
     _ask(
         archive,
         "SELECT method, site, day, wearer, count(*) AS files, sum(rows)::BIGINT AS rows, "
         "round(sum(bytes) / 1e6, 2) AS mb FROM catalogue GROUP BY ALL ORDER BY ALL",
     )
+    typer.echo(f"{len(Archive(archive).kept_recordings())} recordings are kept, to be solved again", err=True)
 
 
 @archive_app.command(
@@ -478,7 +488,7 @@ def solve(
     from gateway.fleet.solving import Solved, jobs_of, run
     from gateway.settings import check_method
 
-    check_method(method)
+    check_method(method, "--method")
     kept = Archive(archive)
     jobs, outcomes = jobs_of(kept, method), list[Solved]()
     with kept.locked("solve"):

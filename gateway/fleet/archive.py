@@ -29,7 +29,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from gateway.errors import GatewayError
 from gateway.recording import Recording
 from gateway.recording.arrays import SkeletonArrays, arrays_of
 from gateway.support.file_lock import file_lock
-from gateway.support.whole_files import replacing
+from gateway.support.whole_files import replacing, write_whole
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -86,6 +86,16 @@ class Partition:
     def folder(self) -> Path:
         """Below ``poses``."""
         return Path(f"method={self.method}", *_folders(self.site, self.day, self.wearer))
+
+
+class Added(NamedTuple):
+    """What became of a recording that was taken in."""
+
+    kept: Path
+    rows: int
+    """Poses that were written."""
+    is_new: bool
+    """Whether its bytes were not there yet."""
 
 
 def _folders(site: str, day: str, wearer: str) -> tuple[str, str, str]:
@@ -137,18 +147,8 @@ class Archive:
             raise ArchiveError(f"{self.folder} is a file: name a folder for the archive") from None
         with self.locked("begin", _BEGIN_S):
             if not self._key_file.exists():
-                self._make_key()
+                write_whole(self._key_file, secrets.token_hex(_KEY_BYTES).encode(), 0o600)
                 self.renew_catalogue()
-
-    def _make_key(self) -> None:
-        descriptor = os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        try:
-            with os.fdopen(descriptor, "w") as file:
-                file.write(secrets.token_hex(_KEY_BYTES))
-        except OSError as error:
-            self._key_file.unlink()
-            error.filename = str(self._key_file)
-            raise
 
     def _read_key(self) -> bytes:
         try:
@@ -225,29 +225,33 @@ class Archive:
         with replacing(path) as partial:
             parquet().write_table(table, partial, compression="zstd")
 
-    def add(self, recording: Recording, source: Path, site: str, wearer: str) -> tuple[Path, int]:
+    def kept_recordings(self) -> list[Path]:
+        """Return the files of all recordings."""
+        return [path for path in sorted(self.recordings.rglob("*.mcap")) if not path.name.startswith(".")]
+
+    def add(self, recording: Recording, source: Path, site: str, wearer: str) -> Added:
         """Take in a finished recording: its bytes, and the poses that it holds, if any.
 
-        Returns the kept file and how many rows were written; one that is there already is left as it is.
-        Raises ``ArchiveError``.
+        What is there already is left as it is. Raises ``ArchiveError``.
         """
         site, who = checked_name("site", site), self.pseudonym(wearer)
         digest = digest_of(source)
         day = day_of(recording.meta.begun_utc_ns)
         kept = self.recordings.joinpath(*_folders(site, day, who)) / f"{digest[:_DIGITS]}.mcap"
-        if not kept.exists():
+        is_new = not kept.exists()
+        if is_new:
             kept.parent.mkdir(parents=True, exist_ok=True)
             with replacing(kept) as partial:
                 shutil.copyfile(source, partial)
         method = recording.meta.settings.reconstructor
         part = self.part(Partition(method, site, day, who), digest[:_DIGITS])
         if part.exists():
-            return kept, 0
+            return Added(kept, 0, is_new)
         arrays = arrays_of(recording.skeleton_frames(), recording.meta.skeleton)
         if arrays is None:
-            return kept, 0
+            return Added(kept, 0, is_new)
         self.write(part, columns_of(arrays, recording), {"recording": digest, "solved": "as recorded"})
-        return kept, len(arrays.time_ns)
+        return Added(kept, len(arrays.time_ns), is_new)
 
     def entries(self) -> Iterator[dict[str, object]]:
         """Yield what every file of rows says of itself; one that cannot be read is told in the log."""

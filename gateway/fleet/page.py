@@ -45,7 +45,7 @@ th{position:sticky;top:0;background:var(--paper);white-space:nowrap}
 tr.alert{background:var(--warn)}.offline{color:var(--bad)}.online{color:var(--good)}
 @media(max-width:60rem){body{margin:1rem}
  thead{position:absolute;clip-path:inset(50%)}table,tbody{display:block}
- tr{display:grid;grid-template-columns:repeat(auto-fill,minmax(5.5rem,1fr));gap:.3rem .8rem;
+ tr{display:grid;grid-template-columns:repeat(auto-fill,minmax(4.5rem,1fr));gap:.3rem .6rem;
   padding:.6rem;border-bottom:1px solid var(--line)}
  td,td.n{border:0;padding:0;text-align:left;overflow-wrap:anywhere}
  td::before{content:attr(data-head);display:block;font-size:.75rem;color:var(--soft)}

@@ -273,7 +273,7 @@ def test_solved_again_it_goes_on_and_gives_the_same_bytes_though_a_worker_is_kil
 
 def test_solving_writes_where_it_came_from(archive: Archive):
     path = CAPTURES / "walking.mcap"
-    kept, _ = archive.add(open_recording(path), path, "ward2", "anna")
+    kept, *_ = archive.add(open_recording(path), path, "ward2", "anna")
     outcome = solving.perform(solving.Solving(archive.folder, kept, "independent"))
     assert outcome.error is None
     archive.renew_catalogue()
