@@ -10,10 +10,10 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Coroutine
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.live import Live
@@ -28,6 +28,7 @@ from gateway.viewer.printable import printable
 
 if TYPE_CHECKING:
     from gateway.fleet.collecting import Collector
+    from gateway.fleet.demonstration import DemoFleet
     from gateway.fleet.overview import Fleet, Row
 
 fleet_app = typer.Typer(
@@ -191,12 +192,20 @@ def _demonstrate(
         typer.echo(f"three brokers at {', '.join(fleet.cluster.addresses())}; {gateways} light gateways")
         wearers = {name: f"wearer {number}" for number, name in enumerate(fleet.names, 1)}
         watching = _watch(fleet.settings(), wearers, page_port, LOOPBACK, None)
-        try:
-            asyncio.run(_for_a_while(watching, seconds))
-        finally:
-            trouble = fleet.trouble()
-        if trouble is not None:
-            raise GatewayError(f"light gateways ended by themselves: {trouble}")
+        asyncio.run(_for_a_while(_while_all_run(fleet, watching), seconds))
+
+
+async def _while_all_run(fleet: DemoFleet, watching: Coroutine[Any, Any, None]) -> None:
+    """Watch, and raise ``GatewayError`` when light gateways end by themselves."""
+    from gateway.outputs.connection import first_to_end
+
+    async def look() -> None:
+        while True:
+            if (trouble := fleet.trouble()) is not None:
+                raise GatewayError(f"light gateways ended by themselves: {trouble}")
+            await asyncio.sleep(_LOOK_S)
+
+    await first_to_end(watching, look())
 
 
 async def _for_a_while(watching: object, seconds: float | None) -> None:
@@ -226,11 +235,12 @@ def read_wearers(path: Path | None) -> dict[str, str]:
 @contextlib.asynccontextmanager
 async def _listening(settings: MqttSettings, wearers: dict[str, str]) -> AsyncIterator[Fleet]:
     from gateway.fleet.overview import Fleet, listener, take_into
+    from gateway.outputs.connection import end_tasks
 
     fleet = Fleet(settings.base_topic, wearers)
     receiver = listener(settings, take_into(fleet))
-    listening = asyncio.ensure_future(receiver.run())
-    waiting = asyncio.ensure_future(receiver.subscribed.wait())
+    listening = asyncio.create_task(receiver.run())
+    waiting = asyncio.create_task(receiver.subscribed.wait())
     try:
         await asyncio.wait({listening, waiting}, return_when=asyncio.FIRST_COMPLETED)
         if listening.done():
@@ -239,9 +249,8 @@ async def _listening(settings: MqttSettings, wearers: dict[str, str]) -> AsyncIt
     finally:
         if receiver.dropped:
             typer.echo(f"{receiver.dropped} messages came faster than they could be counted", err=True)
-        for task in (listening, waiting):
-            task.cancel()
-        await asyncio.gather(listening, waiting, return_exceptions=True)
+        waiting.cancel()
+        await end_tasks(listening)
 
 
 async def _measured(settings: MqttSettings, wearers: dict[str, str], seconds: float) -> list[Row]:

@@ -110,8 +110,8 @@ def write_users(
     ):
         if not _NAME.fullmatch(name):
             raise GatewayError(
-                f"{what} '{name}': must not be empty, nor hold any of # + / * > or white space, nor begin with "
-                "a dot: the brokers' rights are written with these"
+                f"{what} '{name}': must not be empty, nor hold any of # + / * > or white space, nor begin "
+                "with a dot: the brokers' rights are written with these"
             )
     taken = [name for name in gateways if name in (READER, OPERATOR) or name.startswith(LEAF)]
     if taken:
