@@ -402,7 +402,7 @@ async def _collect(settings: MqttSettings, collector: Collector, flush_s: float)
                 with collector.archive.locked("collect"):
                     collector.flush()
             except (ArchiveError, OSError) as error:
-                typer.echo(f"{error}; {collector.waiting} poses wait to be written", err=True)
+                typer.echo(f"{error}: {collector.waiting} poses wait until they can be written", err=True)
                 await asyncio.sleep(_AFTER_TROUBLE_S)
             due_s = time.monotonic() + flush_s
 

@@ -51,10 +51,10 @@ def replacing(path: Path, mode: int | None = None) -> Iterator[Path]:
     except BaseException as error:
         if made is not None:
             made.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            names = (error.filename2, error.filename)
-            if names == (None, None) or any(prefix in str(name) for name in names):
-                error.filename, error.filename2 = str(path), None
+        if isinstance(error, OSError) and error.errno is not None:
+            named = [str(name) for name in (error.filename, error.filename2) if name is not None]
+            if not named or any(prefix in name for name in named):
+                raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
         raise
 
 
