@@ -49,7 +49,8 @@ tr.alert{background:var(--warn)}.offline{color:var(--bad)}.online{color:var(--go
   padding:.6rem;border-bottom:1px solid var(--line)}
  td,td.n{border:0;padding:0;text-align:left;overflow-wrap:anywhere}
  td::before{content:attr(data-head);display:block;font-size:.75rem;color:var(--soft)}
- td:first-child,td:last-child{grid-column:1/-1}td:first-child{font-weight:600}
+ td:first-child,td:last-child{grid-column:1/-1}td:nth-child(2){grid-column:span 2}
+ td:first-child{font-weight:600}
  td:first-child::before,td:empty{display:none}}
 </style></head><body><h1>Fleet</h1><p id="sum" role="status">reading …</p>
 <table><thead><tr><th>gateway<th>wearer<th>state<th class="n">poses/s<th class="n">loss<th class="n">delay ms

@@ -17,9 +17,11 @@ import pytest
 from gateway.contract.messages import BridgeHealth, BridgeInfo, OutputCounters, UtcAnchor
 from gateway.errors import GatewayError
 from gateway.fleet import cluster as clusters
-from gateway.fleet.overview import Fleet, Row, listener, take_into
+from gateway.fleet.overview import Fleet, Row, as_plain, listener, take_into
+from gateway.fleet.page import Bodies, OverviewServer
 from gateway.outputs.connection import broker_connection, unique_identifier
 from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.settings import MqttSettings
 from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -240,3 +242,28 @@ def test_no_broker_is_told_in_one_line(command: Any, unused_port: int):
     running = command("fleet", "list", "--port", str(unused_port))
     assert running.wait() == 1
     assert f"no MQTT broker at 127.0.0.1:{unused_port}" in running.errors
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("width", [1280, 390], ids=["desktop", "phone"])
+async def test_the_page_keeps_its_rows_and_fits_the_window(chromium: str, width: int):
+    """Focus stays where it was when the rows are renewed; nothing is wider than the window."""
+    shown_page = pytest.importorskip("tests.shown_page", reason="the extra 'viewer' is not installed")
+    heard = Heard(wearers={"ward": "<b>Anna</b>"})
+    heard.online("lab")
+    heard.online("ward")
+    heard.say("ward/bridge/state", b'{"state":"offline"}')
+    server = OverviewServer(lambda: as_plain(heard.fleet.rows(heard.now_s)), Bodies(MqttSettings()))
+    async with server, shown_page.browser_of(chromium) as browser:
+        page = await shown_page.new_page(browser, (width, 800))
+        await page.goto(f"http://127.0.0.1:{server.port}")
+        await page.get_by_text("2 gateways, 1 online, 2 with alerts").wait_for()
+        await page.get_by_text("<b>Anna</b>").wait_for()
+        await page.get_by_role("link", name="ward").focus()
+        heard.online("aisle")
+        heard.say("lab/bridge/state", b"")
+        await page.get_by_text("2 gateways, 1 online, 2 with alerts").wait_for()
+        await page.get_by_role("link", name="aisle").wait_for()
+        assert await page.get_by_role("link").all_text_contents() == ["aisle", "ward"]
+        assert await page.evaluate("document.activeElement.textContent") == "ward"
+        assert await page.evaluate("document.documentElement.scrollWidth") == width
