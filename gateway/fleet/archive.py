@@ -256,7 +256,7 @@ class Archive:
     def entries(self) -> Iterator[dict[str, object]]:
         """Yield what every file of rows says of itself; one that cannot be read is told in the log."""
         for path in sorted(self.poses.rglob("*.parquet")):
-            told = _told_by(path)
+            told = _metadata_of(path)
             folders = path.relative_to(self.poses).parts[:-1]
             if told is None or not all("=" in folder for folder in folders):
                 _log.warning("%s is no file of rows of an archive, and left out: delete it", path)
@@ -349,7 +349,7 @@ class Archive:
         """Return the numbers of the poses of a running gateway that are kept already."""
         pq, found = parquet(), set[int]()
         for path in self.poses.rglob("stream_*.parquet"):
-            about = _told_by(path)
+            about = _metadata_of(path)
             told = json.loads(((about and about.metadata) or {}).get(PROVENANCE, b"{}"))
             if told.get("gateway") == gateway_name and instance in told.get("instances", []):
                 table = pq.read_table(path, columns=["instance", "seq"], partitioning=None)
@@ -367,7 +367,7 @@ class Archive:
         except ImportError:
             raise ArchiveError(f"a query needs the extra 'fleet': {how_to_add('fleet')}") from None
         connection = duckdb.connect()
-        if _told_by(self.folder / "catalogue.parquet") is None:
+        if _metadata_of(self.folder / "catalogue.parquet") is None:
             with self.locked("query"):  # it is made of the files, which are the truth
                 self.renew_catalogue()
         files = str(self.poses / "**" / "*.parquet").replace("'", "''")
@@ -400,7 +400,7 @@ def _composed(name: str) -> str:
     return unicodedata.normalize("NFC", name.strip())
 
 
-def _told_by(path: Path) -> Any:
+def _metadata_of(path: Path) -> Any:
     """Return the metadata of a Parquet file; None for what is none, such as half of one."""
     import pyarrow as pa  # noqa: PLC0415 - an extra
 

@@ -33,7 +33,7 @@ MOST_DELAY_S = 0.25
 MOST_GATEWAYS = 10_000
 _HEAD = re.compile(rb'\{"t_ns":(-?\d{1,19}),"seq":(-?\d{1,19})[,}]')
 _MODULE = re.compile(r"module/(\d{1,3})/state")
-_TOLD_FIRST = (topics.BRIDGE_INFO, topics.BODY, topics.BRIDGE_STATE)
+_ANNOUNCED = (topics.BRIDGE_INFO, topics.BODY, topics.BRIDGE_STATE)
 """What a gateway publishes before anything else, retained."""
 
 
@@ -172,7 +172,7 @@ class Fleet:
             return False
         if known is None or not known.has_left:
             return True
-        if below not in _TOLD_FIRST:
+        if below not in _ANNOUNCED:
             return False
         del self.gateways[name]
         return True

@@ -162,7 +162,7 @@ async def test_each_user_publishes_what_is_theirs_and_nothing_else(tmp_path, unu
 
 @pytest.mark.parametrize("user", ["operator", "app"])
 async def test_who_reads_hears_all_gateways_and_nothing_else(tmp_path, unused_port, user):
-    """A gateway hears its own state, health and echoes too: ``test_the_gateway_hears_…`` has the rest."""
+    """A gateway receives its own state, health and echoes too: ``test_the_gateway_hears_…`` has the rest."""
     elsewhere = "other/gateway1/pose"
     with shipped_broker(tmp_path, unused_port, more_rights=f"user gateway\ntopic write {elsewhere}"):
         async with client_of(user, unused_port) as reader, client_of("gateway", unused_port) as gateway:

@@ -61,7 +61,7 @@ MAY_PUBLISH = {
 LAST = {"lab": "mocap/lab/bridge/last", "ward": "mocap/ward/bridge/last"}
 """Comes after all else of a user; of the readers an echo does."""
 
-HEARS = {
+RECEIVED = {
     ("lab", "mocap/lab/bridge/request/#"): "mocap/lab/bridge/request/gateway/health",
     ("lab", "mocap/lab/bridge/state"): "mocap/lab/bridge/state",
     ("overview", "mocap/#"): "mocap/ward/pose",
@@ -126,8 +126,8 @@ async def test_each_user_publishes_what_is_theirs_and_nothing_else(users: Users,
     assert heard == MAY_PUBLISH[user]
 
 
-@pytest.mark.parametrize(("who", "topic"), [*HEARS.items(), *REFUSED.items()])
-async def test_each_user_hears_what_is_theirs_and_nothing_else(
+@pytest.mark.parametrize(("who", "topic"), [*RECEIVED.items(), *REFUSED.items()])
+async def test_each_user_receives_what_is_theirs_and_nothing_else(
     users: Users, who: tuple[str, str], topic: str
 ):
     user, wanted = who
@@ -146,7 +146,7 @@ async def test_each_user_hears_what_is_theirs_and_nothing_else(
                 if message.topic.value == last:
                     break
                 heard.append(message.topic.value)
-    assert heard == ([topic] if who in HEARS else [])
+    assert heard == ([topic] if who in RECEIVED else [])
 
 
 async def test_a_wrong_password_and_a_stranger_are_refused(users: Users, tmp_path: Path):
