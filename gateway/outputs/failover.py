@@ -162,9 +162,9 @@ async def keep_connected(
             await nap(back_off.next_delay(), stopping)
 
 
-_QUESTIONS = 4
-"""In the time that an answer may take: a broker that falls silent just after an answer is noticed after 1.25
-of that time; asked twice, it was after 1.5."""
+_QUESTIONS = 2
+"""In the time that an answer may take. More would notice a silent broker sooner, and give up more of those
+that have only paused on a machine with much to do; poses do not wait for it, see ``_Echo``."""
 
 
 async def keep_asking(
@@ -368,7 +368,8 @@ class _Echo:
     """A message that is published at one node, and listened for at another."""
 
     MISSED = 4
-    """In a row, after which it stays away. Our own pauses cost one."""
+    """In a row, after which it stays away. Our own pauses cost one. So poses take both ways after 1 to 1.25
+    of the time that an answer may take; where it was but a pause, they came twice for a moment."""
     REMEMBERED = 100
 
     def __init__(self, topic: str, report: Callable[[bool], None], confirm: Confirm | None) -> None:
