@@ -439,12 +439,12 @@ class GatewaySettings(_Strict):
         return self.model_copy(update={"reconstructor": name, "reconstructor_delay_ms": delay_ms})
 
 
-def check_method(name: str) -> None:
-    """Raise ``SettingsError`` for a method that there is not, asked for on the command line."""
+def check_method(name: str, option: str = "--reconstructor") -> None:
+    """Raise ``SettingsError`` for a method that there is not, asked for on the command line by an option."""
     try:
         refuse_unknown(name)
     except ValueError as error:
-        raise SettingsError(f"--reconstructor {name}: {error}") from None
+        raise SettingsError(f"{option} {name}: {error}") from None
 
 
 def fitting_suit(settings: GatewaySettings, suit: WornSuit) -> GatewaySettings:

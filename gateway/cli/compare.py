@@ -329,7 +329,7 @@ class Live:
 
 def run_live(settings: MqttSettings, wanted: Live) -> int:
     """Return the exit code: 0 on Ctrl-C or when done, 1 after one line if the broker cannot be used."""
-    from gateway.outputs.receiving import BrokerUnreachableError
+    from gateway.outputs.failover import BrokerUnreachableError
 
     try:
         topics = [Topics(settings.base_topic, name) for name in (wanted.first, wanted.second)]
@@ -411,13 +411,15 @@ async def _found(wanted: Live, poses: PoseSubscriber, windows: Mapping[str, Pose
 
 async def _publish(settings: MqttSettings, topics: Topics, message: ComparisonMessage) -> list[str]:
     """Return what went wrong, if anything: a broker that refuses does not end the comparison."""
-    from gateway.outputs.connection import broker_connection, explain, unique_identifier
+    import aiomqtt
+
+    from gateway.outputs.failover import BrokerUnreachableError, any_connection
 
     try:
-        async with broker_connection(settings, settings.port, unique_identifier("compare")) as client:
+        async with any_connection(settings, "compare") as (client, _):
             await client.publish(topics.comparison, message.payload())
-    except Exception as error:  # explain() has words for all that a connection may raise
-        return [f"not published: {explain(error, settings, settings.port)}"]
+    except (BrokerUnreachableError, aiomqtt.MqttError) as error:
+        return [f"not published: {error}"]
     return []
 
 

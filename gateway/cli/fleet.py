@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import csv
 import json
 import signal
+import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator
-from datetime import datetime
+from collections.abc import AsyncIterator, Coroutine
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.live import Live
@@ -26,6 +28,7 @@ from gateway.viewer.printable import printable
 
 if TYPE_CHECKING:
     from gateway.fleet.collecting import Collector
+    from gateway.fleet.demonstration import DemoFleet
     from gateway.fleet.overview import Fleet, Row
 
 fleet_app = typer.Typer(
@@ -37,12 +40,12 @@ fleet_app = typer.Typer(
 LOOPBACK = "127.0.0.1"
 TOKEN_VARIABLE = "MOCAP_PAGE_TOKEN"
 _REFRESH_S = 0.5
+_LOOK_S = 1.0
+"""Between two looks whether what was collected is to be written."""
+_AFTER_TROUBLE_S = 10.0
 _LAST_FLUSH_S = 600.0
 """Longest wait for another command that changes the archive, before what was collected is given up."""
 
-Failover = Annotated[
-    list[str] | None, typer.Option(metavar="HOST:PORT", help="A further node of the cluster; repeatable.")
-]
 Wearers = Annotated[
     Path | None, typer.Option(help="YAML file that names the wearer of each gateway: {gw001: anna, …}.")
 ]
@@ -59,7 +62,6 @@ TokenFile = Annotated[
 @with_broker
 def list_gateways(
     broker: BrokerChoice,
-    failover: Failover = None,
     wearers: Wearers = None,
     seconds: Annotated[
         float, typer.Option(min=1, max=600, help="How long rates and losses are measured.")
@@ -67,7 +69,7 @@ def list_gateways(
     as_json: AsJson = False,
 ) -> None:
     """Show every gateway once: wearer, state, rate, loss, delay, disk, versions. Ends with 1 on an alert."""
-    rows = asyncio.run(_measured(_at_cluster(broker, failover), read_wearers(wearers), seconds))
+    rows = asyncio.run(_measured(broker.settings(), read_wearers(wearers), seconds))
     if as_json:
         from gateway.fleet.overview import as_plain
 
@@ -84,14 +86,13 @@ def list_gateways(
 @with_broker
 def watch(
     broker: BrokerChoice,
-    failover: Failover = None,
     wearers: Wearers = None,
     page_port: PagePort = None,
     page_host: PageHost = LOOPBACK,
     token_file: TokenFile = None,
 ) -> None:
     """Show every gateway, renewed twice a second, in the terminal and on a page with links to the bodies."""
-    settings, names = _at_cluster(broker, failover), read_wearers(wearers)
+    settings, names = broker.settings(), read_wearers(wearers)
     _end_on_sigterm()
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(_watch(settings, names, page_port, page_host, token_file))
@@ -146,7 +147,6 @@ def configure(
         list[str],
         typer.Option("--set", metavar="NAME=VALUE", help="A setting; null: as the gateway's file says."),
     ],
-    failover: Failover = None,
     apply: Annotated[
         bool, typer.Option("--apply", help="Take them into use; else the differences are shown alone.")
     ] = False,
@@ -161,7 +161,7 @@ def configure(
     """
     from gateway.fleet.configuring import differences, push, settings_of
 
-    settings, wanted = _at_cluster(broker, failover), settings_of(given)
+    settings, wanted = broker.settings(), settings_of(given)
     for name in gateways:
         for each in asyncio.run(differences(settings, name, wanted)):
             values = json.dumps(each["before"]), json.dumps(each["after"])
@@ -192,12 +192,20 @@ def _demonstrate(
         typer.echo(f"three brokers at {', '.join(fleet.cluster.addresses())}; {gateways} light gateways")
         wearers = {name: f"wearer {number}" for number, name in enumerate(fleet.names, 1)}
         watching = _watch(fleet.settings(), wearers, page_port, LOOPBACK, None)
-        try:
-            asyncio.run(_for_a_while(watching, seconds))
-        finally:
-            trouble = fleet.trouble()
-        if trouble is not None:
-            raise GatewayError(f"light gateways ended by themselves: {trouble}")
+        asyncio.run(_for_a_while(_while_all_run(fleet, watching), seconds))
+
+
+async def _while_all_run(fleet: DemoFleet, watching: Coroutine[Any, Any, None]) -> None:
+    """Watch, and raise ``GatewayError`` when light gateways end by themselves."""
+    from gateway.outputs.connection import first_to_end
+
+    async def look() -> None:
+        while True:
+            if (trouble := fleet.trouble()) is not None:
+                raise GatewayError(f"light gateways ended by themselves: {trouble}")
+            await asyncio.sleep(_LOOK_S)
+
+    await first_to_end(watching, look())
 
 
 async def _for_a_while(watching: object, seconds: float | None) -> None:
@@ -206,45 +214,33 @@ async def _for_a_while(watching: object, seconds: float | None) -> None:
             await watching  # type: ignore[misc]
 
 
-def _at_cluster(broker: BrokerChoice, failover: list[str] | None) -> MqttSettings:
-    settings = broker.settings()
-    if not failover:
-        return settings
-    from pydantic import ValidationError
-
-    try:
-        return MqttSettings.model_validate(settings.model_dump() | {"failover": tuple(failover)})
-    except ValidationError:
-        raise GatewayError(
-            f"--failover {' '.join(failover)}: HOST:PORT is wanted, such as broker2:1883"
-        ) from None
-
-
 def read_wearers(path: Path | None) -> dict[str, str]:
     """Return the wearer of each gateway by a YAML file. Raises ``GatewayError`` for one that is none."""
     if path is None:
         return {}
-    import yaml
+    from gateway.support.settings_files import load_yaml
 
-    try:
-        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise GatewayError(f"{path} is no YAML: {str(error).splitlines()[0]}") from None
-    if not isinstance(loaded, dict) or not all(
-        isinstance(text, str) for pair in loaded.items() for text in pair
-    ):
+    loaded = load_yaml(path)
+    if not isinstance(loaded, dict):
         raise GatewayError(f"{path}: a wearer's name by gateway is wanted, such as gw001: anna")
+    for gateway, name in loaded.items():
+        if not isinstance(gateway, str) or not isinstance(name, str) or not name.strip():
+            raise GatewayError(
+                f"{path}: {gateway!r}: {name!r}: a wearer's name by gateway is wanted, in quotes where it "
+                "looks like a number or a date"
+            )
     return loaded
 
 
 @contextlib.asynccontextmanager
 async def _listening(settings: MqttSettings, wearers: dict[str, str]) -> AsyncIterator[Fleet]:
     from gateway.fleet.overview import Fleet, listener, take_into
+    from gateway.outputs.connection import end_tasks
 
     fleet = Fleet(settings.base_topic, wearers)
     receiver = listener(settings, take_into(fleet))
-    listening = asyncio.ensure_future(receiver.run())
-    waiting = asyncio.ensure_future(receiver.subscribed.wait())
+    listening = asyncio.create_task(receiver.run())
+    waiting = asyncio.create_task(receiver.subscribed.wait())
     try:
         await asyncio.wait({listening, waiting}, return_when=asyncio.FIRST_COMPLETED)
         if listening.done():
@@ -253,9 +249,8 @@ async def _listening(settings: MqttSettings, wearers: dict[str, str]) -> AsyncIt
     finally:
         if receiver.dropped:
             typer.echo(f"{receiver.dropped} messages came faster than they could be counted", err=True)
-        for task in (listening, waiting):
-            task.cancel()
-        await asyncio.gather(listening, waiting, return_exceptions=True)
+        waiting.cancel()
+        await end_tasks(listening)
 
 
 async def _measured(settings: MqttSettings, wearers: dict[str, str], seconds: float) -> list[Row]:
@@ -364,7 +359,6 @@ def collect(
     broker: BrokerChoice,
     archive: ArchiveFolder,
     site: Site,
-    failover: Failover = None,
     wearers: Wearers = None,
     seconds: Annotated[float | None, typer.Option(min=1, help="End after so long; else on Ctrl-C.")] = None,
     flush: Annotated[float, typer.Option(min=1, max=3600, help="Write what waits so often, s.")] = 60,
@@ -373,16 +367,20 @@ def collect(
     from gateway.fleet.archive import Archive
     from gateway.fleet.collecting import Collector
 
-    settings = _at_cluster(broker, failover)
+    settings, names = broker.settings(), read_wearers(wearers)
     kept = Archive(archive, is_new=True)
-    collector = Collector(kept, site, settings.base_topic, read_wearers(wearers))
+    collector = Collector(kept, site, settings.base_topic, names)
     _end_on_sigterm()
     with kept.collecting(site):
         with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(_for_a_while(_collect(settings, collector, flush), seconds))
-        with kept.locked("collect", _LAST_FLUSH_S):
-            collector.flush()
-            files = kept.renew_catalogue()
+        try:
+            with kept.locked("collect", _LAST_FLUSH_S):
+                collector.flush()
+                files = kept.renew_catalogue()
+        finally:
+            if collector.waiting:
+                typer.echo(f"{collector.waiting} poses could not be written, and are lost", err=True)
     typer.echo(
         f"{collector.rows} poses kept, {collector.repeated} were there already, "
         f"{collector.undecodable} not readable, {collector.missed} came too fast to be kept; {files} files"
@@ -392,23 +390,27 @@ def collect(
 async def _collect(settings: MqttSettings, collector: Collector, flush_s: float) -> None:
     from gateway.fleet.archive import ArchiveError
     from gateway.fleet.overview import listener
+    from gateway.outputs.connection import first_to_end
 
     async def write() -> None:
+        due_s = time.monotonic() + flush_s
         while True:
-            await asyncio.sleep(flush_s)
+            await asyncio.sleep(_LOOK_S)
+            if time.monotonic() < due_s and not collector.is_full:
+                continue
             try:
                 with collector.archive.locked("collect"):
                     collector.flush()
-            except ArchiveError as error:
-                typer.echo(f"{error}; poses are written when that is done", err=True)
+            except (ArchiveError, OSError) as error:
+                typer.echo(f"{error}: {collector.waiting} poses wait until they can be written", err=True)
+                await asyncio.sleep(_AFTER_TROUBLE_S)
+            due_s = time.monotonic() + flush_s
 
     receiver = listener(settings, collector.take)
-    writing = asyncio.ensure_future(write())
     try:
-        await receiver.run()
+        await first_to_end(receiver.run(), write())
     finally:
-        writing.cancel()
-        collector.missed = receiver.dropped
+        collector.missed += receiver.dropped
 
 
 @archive_app.command(
@@ -426,21 +428,33 @@ def add(
 
     kept = Archive(archive, is_new=True)
     with kept.locked("add"):
-        for path in recordings:
-            _, rows = kept.add(open_recording(path), path, site, wearer)
-            written = f"{rows} poses" if rows else "no new poses"
-            typer.echo(f"{path}: {written}, wearer {kept.pseudonym(wearer)}")
-        kept.renew_catalogue()
+        try:
+            for path in recordings:
+                added = kept.add(open_recording(path), path, site, wearer)
+                written = f"{added.rows} poses" if added.rows else _WITHOUT_ROWS[added.is_new]
+                typer.echo(f"{path}: {written}, wearer {kept.pseudonym(wearer)}")
+        finally:
+            kept.renew_catalogue()
+
+
+_WITHOUT_ROWS = {
+    True: "kept; it holds no poses, `fleet archive solve` makes them",
+    False: "was there already",
+}
+"""Of a recording that gives no rows, by whether it is new."""
 
 
 @archive_app.command("list", epilog="Example: mocap-gateway fleet archive list --archive clinic")
 def list_archive(archive: ArchiveFolder) -> None:
     """Show the catalogue, by method, site, day and wearer."""
+    from gateway.fleet.archive import Archive
+
     _ask(
         archive,
         "SELECT method, site, day, wearer, count(*) AS files, sum(rows)::BIGINT AS rows, "
         "round(sum(bytes) / 1e6, 2) AS mb FROM catalogue GROUP BY ALL ORDER BY ALL",
     )
+    typer.echo(f"{len(Archive(archive).kept_recordings())} recordings are kept, to be solved again", err=True)
 
 
 @archive_app.command(
@@ -459,10 +473,11 @@ def _ask(folder: Path, sql: str) -> None:
     from gateway.fleet.archive import Archive
 
     names, rows = Archive(folder).query(sql)
+    lines = csv.writer(sys.stdout, lineterminator="\n")
     if names:
-        typer.echo(",".join(names))
+        lines.writerow(names)
     for row in rows:
-        typer.echo(",".join("" if value is None else printable(str(value)) for value in row))
+        lines.writerow("" if value is None else printable(str(value)) for value in row)
 
 
 @archive_app.command(
@@ -482,7 +497,7 @@ def solve(
     from gateway.fleet.solving import Solved, jobs_of, run
     from gateway.settings import check_method
 
-    check_method(method)
+    check_method(method, "--method")
     kept = Archive(archive)
     jobs, outcomes = jobs_of(kept, method), list[Solved]()
     with kept.locked("solve"):
@@ -515,10 +530,17 @@ def forget(
     from gateway.fleet.archive import Archive
 
     kept = Archive(archive)
-    if not yes:
-        typer.confirm(f"Delete all that {archive} keeps of {wearer} ({kept.pseudonym(wearer)})?", abort=True)
+    who = f"{printable(wearer)} ({kept.pseudonym(wearer)})"
     with kept.nobody_collects(), kept.locked("forget"):
+        if not yes:
+            files = sum(len(list(folder.iterdir())) for folder in kept.folders_of(wearer))
+            typer.confirm(f"Delete all that {archive} keeps of {who}: {files} files?", abort=True)
         files, left = kept.forget(wearer)
+    if not files and not left:
+        raise GatewayError(
+            f"{archive} keeps nothing of {who}: give the name as `add` or the file of --wearers had it; "
+            "a gateway without a wearer goes by its own name"
+        )
     typer.echo(f"{files} files deleted; {left} files still hold the name or the pseudonym")
     for path in kept.traces(wearer) if left else ():
         typer.echo(f"  {path}", err=True)
@@ -536,7 +558,12 @@ def expire(
     """Delete all of the days before one: retention, to be called once a day."""
     from gateway.fleet.archive import Archive
 
+    day = before.strftime("%Y-%m-%d")
+    if before.date() > datetime.now(UTC).date():
+        raise GatewayError(
+            f"--before {day}: that day is to come, and nothing would be kept: name today's, or one before"
+        )
     kept = Archive(archive)
     with kept.locked("expire"):
-        files = kept.expire(before.strftime("%Y-%m-%d"))
+        files = kept.expire(day)
     typer.echo(f"{files} files deleted")

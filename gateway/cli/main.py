@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 import sys
 from typing import ClassVar
 
@@ -250,4 +251,4 @@ def _file_trouble(error: Exception) -> str | None:
     if not isinstance(error, OSError) or error.errno not in _REMEDIES:
         return None
     place = next((str(name) for name in (error.filename2, error.filename) if name is not None), "a file")
-    return f"{place}: {error.strerror}: {_REMEDIES[error.errno]}"
+    return f"{place}: {os.strerror(error.errno or 0)}: {_REMEDIES[error.errno]}"

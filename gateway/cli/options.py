@@ -59,6 +59,10 @@ CaFile = Annotated[
     Path | None, typer.Option(help="Speak TLS; certificates (PEM) to check the broker against.")
 ]
 BaseTopic = Annotated[str, typer.Option(help="First part of the topics.")]
+Failover = Annotated[
+    list[str] | None,
+    typer.Option(metavar="HOST:PORT", help="A further node of the broker's cluster; repeatable."),
+]
 
 
 def broker_settings(ca_file: Path | None, **options: Any) -> MqttSettings:
@@ -66,8 +70,17 @@ def broker_settings(ca_file: Path | None, **options: Any) -> MqttSettings:
     try:
         return MqttSettings(tls=None if ca_file is None else TlsSettings(ca_file=ca_file), **options)
     except ValidationError as error:
-        typer.echo("; ".join(problem["msg"] for problem in error.errors()), err=True)
+        typer.echo("; ".join(map(_complaint, error.errors())), err=True)
         raise typer.Exit(2) from None
+
+
+def _complaint(problem: Any) -> str:
+    """Say what is wrong, after the option that it stands in."""
+    message = problem["msg"].removeprefix("Value error, ")
+    if not problem["loc"]:
+        return str(message)
+    option = str(problem["loc"][0]).replace("_", "-")
+    return f"--{option} {problem['input']}: {message}"
 
 
 @dataclass(frozen=True)
@@ -76,6 +89,7 @@ class BrokerChoice:
 
     host: Host = "127.0.0.1"
     port: Port = 1883
+    failover: Failover = None
     username: Username = None
     password_file: PasswordFile = None
     ca_file: CaFile = None
@@ -84,7 +98,7 @@ class BrokerChoice:
 
     def settings(self) -> MqttSettings:
         """Return the settings; exits as ``broker_settings``."""
-        return broker_settings(**asdict(self))
+        return broker_settings(**asdict(self) | {"failover": tuple(self.failover or ())})
 
 
 with_broker = with_options(BrokerChoice)

@@ -147,7 +147,7 @@ def _shown(view: PoseView, now_ns: int, state: str, wanted: Watch) -> Renderable
 
 def run_watch(settings: MqttSettings, wanted: Watch) -> int:
     """Run ``watch_poses`` as a program: quiet on Ctrl-C and on a closed pipe, one line on errors."""
-    from gateway.outputs.receiving import BrokerUnreachableError
+    from gateway.outputs.failover import BrokerUnreachableError
 
     try:
         return asyncio.run(watch_poses(settings, wanted, Console()))

@@ -19,15 +19,17 @@ import hashlib
 import hmac
 import itertools
 import json
+import logging
 import os
 import re
 import secrets
 import shutil
+import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -38,10 +40,12 @@ from gateway.errors import GatewayError
 from gateway.recording import Recording
 from gateway.recording.arrays import SkeletonArrays, arrays_of
 from gateway.support.file_lock import file_lock
-from gateway.support.whole_files import replacing
+from gateway.support.whole_files import replacing, write_whole
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+_log = logging.getLogger(__name__)
 
 PROVENANCE = b"mocap"
 """Key of what a file tells of itself: a JSON object."""
@@ -51,6 +55,10 @@ _COLLECTING = ".collecting_"
 """Beginning of the names of files by which a site is collected for once at a time."""
 _ROWS = 1000
 """Of an answer, fetched at a time."""
+_KEY_BYTES = 32
+_SHORTEST_SOUGHT = 4
+_BEGIN_S = 20.0
+"""Longest wait for another command that makes the same archive."""
 
 
 class ArchiveError(GatewayError):
@@ -68,10 +76,26 @@ class Partition:
     wearer: str
     """Pseudonym."""
 
+    def __post_init__(self) -> None:
+        """Raise ``ArchiveError`` for a name that would lead out of the archive: methods and days are those of
+        recordings and gateways, whoever made them."""
+        for what in ("method", "site", "day", "wearer"):
+            checked_name(what, getattr(self, what))
+
     @property
     def folder(self) -> Path:
         """Below ``poses``."""
         return Path(f"method={self.method}", *_folders(self.site, self.day, self.wearer))
+
+
+class Added(NamedTuple):
+    """What became of a recording that was taken in."""
+
+    kept: Path
+    rows: int
+    """Poses that were written."""
+    is_new: bool
+    """Whether its bytes were not there yet."""
 
 
 def _folders(site: str, day: str, wearer: str) -> tuple[str, str, str]:
@@ -112,16 +136,39 @@ class Archive:
         if not self._key_file.exists():
             if not is_new:
                 raise ArchiveError(f"{folder} is no archive: make one with `fleet archive add` or `collect`")
-            folder.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-            with os.fdopen(descriptor, "w") as file:
-                file.write(secrets.token_hex(32))
-            self.renew_catalogue()
-        self._key = bytes.fromhex(self._key_file.read_text().strip())
+            self._begin()
+        self._key = self._read_key()
+
+    def _begin(self) -> None:
+        """Make the folder and the key; where two do so at once, the key of one is both's."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            raise ArchiveError(f"{self.folder} is a file: name a folder for the archive") from None
+        with self.locked("begin", _BEGIN_S):
+            if not self._key_file.exists():
+                write_whole(self._key_file, secrets.token_hex(_KEY_BYTES).encode(), 0o600)
+                self.renew_catalogue()
+
+    def _read_key(self) -> bytes:
+        try:
+            key = bytes.fromhex(self._key_file.read_text().strip())
+        except ValueError:
+            key = b""
+        if len(key) != _KEY_BYTES:
+            raise ArchiveError(
+                f"{self._key_file} holds no key, and pseudonyms are made with it: put it back from a copy, "
+                "or begin another archive"
+            )
+        return key
 
     def pseudonym(self, wearer: str) -> str:
-        """Return the id of a wearer: always the same in this archive, and in no other."""
-        return hmac.new(self._key, wearer.encode(), hashlib.sha256).hexdigest()[:_DIGITS]
+        """Return the id of a wearer: always the same in this archive, and in no other, however the letters
+        of the name are composed. Raises ``ArchiveError`` for an empty name."""
+        name = _composed(wearer)
+        if not name:
+            raise ArchiveError("the name of a wearer is empty: name who wore the suit")
+        return hmac.new(self._key, name.encode(), hashlib.sha256).hexdigest()[:_DIGITS]
 
     @contextlib.contextmanager
     def locked(self, what: str, patience_s: float = 0.0) -> Iterator[None]:
@@ -178,39 +225,43 @@ class Archive:
         with replacing(path) as partial:
             parquet().write_table(table, partial, compression="zstd")
 
-    def add(self, recording: Recording, source: Path, site: str, wearer: str) -> tuple[Path, int]:
+    def kept_recordings(self) -> list[Path]:
+        """Return the files of all recordings."""
+        return [path for path in sorted(self.recordings.rglob("*.mcap")) if not path.name.startswith(".")]
+
+    def add(self, recording: Recording, source: Path, site: str, wearer: str) -> Added:
         """Take in a finished recording: its bytes, and the poses that it holds, if any.
 
-        Returns the kept file and how many rows were written; one that is there already is left as it is.
-        Raises ``ArchiveError``.
+        What is there already is left as it is. Raises ``ArchiveError``.
         """
         site, who = checked_name("site", site), self.pseudonym(wearer)
         digest = digest_of(source)
         day = day_of(recording.meta.begun_utc_ns)
         kept = self.recordings.joinpath(*_folders(site, day, who)) / f"{digest[:_DIGITS]}.mcap"
-        if not kept.exists():
+        is_new = not kept.exists()
+        if is_new:
             kept.parent.mkdir(parents=True, exist_ok=True)
             with replacing(kept) as partial:
                 shutil.copyfile(source, partial)
         method = recording.meta.settings.reconstructor
         part = self.part(Partition(method, site, day, who), digest[:_DIGITS])
         if part.exists():
-            return kept, 0
+            return Added(kept, 0, is_new)
         arrays = arrays_of(recording.skeleton_frames(), recording.meta.skeleton)
         if arrays is None:
-            return kept, 0
+            return Added(kept, 0, is_new)
         self.write(part, columns_of(arrays, recording), {"recording": digest, "solved": "as recorded"})
-        return kept, len(arrays.time_ns)
+        return Added(kept, len(arrays.time_ns), is_new)
 
     def entries(self) -> Iterator[dict[str, object]]:
-        """Yield what every file of rows says of itself."""
-        pq = parquet()
+        """Yield what every file of rows says of itself; one that cannot be read is told in the log."""
         for path in sorted(self.poses.rglob("*.parquet")):
-            if path.name.startswith("."):
-                continue
-            metadata = pq.read_metadata(path)
-            provenance = json.loads((metadata.metadata or {}).get(PROVENANCE, b"{}"))
+            metadata = _metadata_of(path)
             folders = path.relative_to(self.poses).parts[:-1]
+            if metadata is None or not all("=" in folder for folder in folders):
+                _log.warning("%s is no file of rows of an archive, and left out: delete it", path)
+                continue
+            provenance = json.loads((metadata.metadata or {}).get(PROVENANCE, b"{}"))
             yield {
                 "file": str(path.relative_to(self.folder)),
                 **dict(folder.split("=", 1) for folder in folders),
@@ -245,13 +296,16 @@ class Archive:
             parquet().write_table(pa.Table.from_pylist(entries, schema), partial)
         return len(entries)
 
+    def folders_of(self, wearer: str) -> list[Path]:
+        """Return all folders with files of a wearer, by name."""
+        return sorted(self.folder.rglob(f"wearer={self.pseudonym(wearer)}"))
+
     def forget(self, wearer: str) -> tuple[int, int]:
         """Delete all that is kept of a wearer, by name. Returns how many files, and how many still name them.
 
         The second is 0, unless a file that belongs to somebody else holds the name or the pseudonym.
         """
-        who = self.pseudonym(wearer)
-        files = self._delete(list(self.folder.rglob(f"wearer={who}")))
+        files = self._delete(self.folders_of(wearer))
         return files, sum(1 for _ in self.traces(wearer))
 
     def expire(self, before: str) -> int:
@@ -260,8 +314,12 @@ class Archive:
         return self._delete([day for day in days if day.name.removeprefix("day=") < before])
 
     def traces(self, wearer: str) -> Iterator[Path]:
-        """Yield every file of the archive whose path or bytes hold the name of a wearer, or the pseudonym."""
-        sought = [wearer.encode(), self.pseudonym(wearer).encode()]
+        """Yield every file of the archive whose path or bytes hold the name of a wearer, or the pseudonym.
+
+        A name of less than ``_SHORTEST_SOUGHT`` bytes is not sought: it would be found anywhere, by chance.
+        """
+        names = {wearer.strip().encode(), _composed(wearer).encode()}
+        sought = [self.pseudonym(wearer).encode(), *(each for each in names if len(each) >= _SHORTEST_SOUGHT)]
         for path in sorted(self.folder.rglob("*")):
             if not path.is_file() or path == self._key_file:
                 continue
@@ -270,8 +328,11 @@ class Archive:
                 yield path
 
     def _delete(self, folders: Sequence[Path]) -> int:
-        """Delete folders, and those that are empty then. Returns how many files were in them."""
+        """Delete folders, those that are empty then, and what a command that was killed has left half
+        written. Returns how many files were in the folders."""
         files = 0
+        for path in (*self.folder.rglob(".*.parquet.*"), *self.folder.rglob(".*.mcap.*")):
+            path.unlink()
         for folder in folders:
             files += sum(path.is_file() for path in folder.rglob("*"))
             shutil.rmtree(folder)
@@ -288,7 +349,8 @@ class Archive:
         """Return the numbers of the poses of a running gateway that are kept already."""
         pq, found = parquet(), set[int]()
         for path in self.poses.rglob("stream_*.parquet"):
-            provenance = json.loads((pq.read_metadata(path).metadata or {}).get(PROVENANCE, b"{}"))
+            about = _metadata_of(path)
+            provenance = json.loads(((about and about.metadata) or {}).get(PROVENANCE, b"{}"))
             if provenance.get("gateway") == gateway_name and instance in provenance.get("instances", []):
                 table = pq.read_table(path, columns=["instance", "seq"], partitioning=None)
                 pairs = zip(table["instance"].to_pylist(), table["seq"].to_pylist(), strict=True)
@@ -305,6 +367,9 @@ class Archive:
         except ImportError:
             raise ArchiveError(f"a query needs the extra 'fleet': {how_to_add('fleet')}") from None
         connection = duckdb.connect()
+        if _metadata_of(self.folder / "catalogue.parquet") is None:
+            with self.locked("query"):  # it is made of the files, which are the truth
+                self.renew_catalogue()
         files = str(self.poses / "**" / "*.parquet").replace("'", "''")
         catalogue = str(self.folder / "catalogue.parquet").replace("'", "''")
         types = "{'day': DATE, 'wearer': VARCHAR, 'site': VARCHAR, 'method': VARCHAR}"
@@ -319,7 +384,30 @@ class Archive:
             names = [column[0] for column in connection.description or ()]
             return names, itertools.chain.from_iterable(iter(lambda: connection.fetchmany(_ROWS), []))
         except duckdb.Error as error:
-            raise ArchiveError(f"DuckDB: {str(error).splitlines()[0]}") from None
+            raise ArchiveError(f"DuckDB: {str(error).splitlines()[0]}{self._hint(str(error))}") from None
+
+    def _hint(self, error: str) -> str:
+        """Return what would help, after an answer of DuckDB."""
+        if str(self.poses) in error:
+            return ": that file is damaged, delete it"
+        if "poses does not exist" in error:
+            return " There are no poses in this archive yet."
+        return ""
+
+
+def _composed(name: str) -> str:
+    """Return a name in the one form that its letters and accents have when they are composed."""
+    return unicodedata.normalize("NFC", name.strip())
+
+
+def _metadata_of(path: Path) -> Any:
+    """Return the metadata of a Parquet file; None for what is none, such as half of one."""
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+
+    try:
+        return parquet().read_metadata(path)
+    except (pa.ArrowInvalid, FileNotFoundError):
+        return None
 
 
 def digest_of(path: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import secrets
 import shutil
 import signal
@@ -21,12 +22,15 @@ from devices.extras import how_to_add
 from gateway.contract.topics import Topics
 from gateway.errors import GatewayError
 from gateway.fleet.routes import CuttableRoutes
+from gateway.support.whole_files import write_whole
 
 NODES = 3
 READER = "overview"
 """User that may listen to all gateways, and ask them."""
 OPERATOR = "operator"
 """User that may also change the settings of gateways which allow it."""
+_NAME = re.compile(r"[^\s\0#+/*>.][^\s\0#+/*>]*")
+"""No wildcard of MQTT or NATS, nor a separator of either: rights on such a name were rights on others."""
 LEAF = "leaf-"
 """Beginning of the users as which nodes at sites connect; gateways there have rights at that node."""
 _NOWHERE = "127.0.0.1:1"
@@ -97,9 +101,18 @@ def write_users(
     """Write ``users.conf`` and a file with the password of each user, for the eyes of their owner alone.
 
     sites: names of those with a node of their own. A user that has a password already keeps it, named here or
-    not. Returns the names of all users. Raises
-    ``GatewayError`` for a name that cannot stand in a topic.
+    not. Returns the names of all users. Raises ``GatewayError`` for a name that cannot be that of a user.
     """
+    for what, name in (
+        *(("gateway", each) for each in gateways),
+        *(("--site", each) for each in sites),
+        *(("--base-topic", level) for level in base_topic.split("/")),
+    ):
+        if not _NAME.fullmatch(name):
+            raise GatewayError(
+                f"{what} '{name}': must not be empty, nor hold any of # + / * > or white space, nor begin "
+                "with a dot: the brokers' rights are written with these"
+            )
     taken = [name for name in gateways if name in (READER, OPERATOR) or name.startswith(LEAF)]
     if taken:
         raise GatewayError(
@@ -108,21 +121,16 @@ def write_users(
     gateways = [*gateways, *(f"{LEAF}{site}" for site in sites)]
     secrets_folder = folder / "passwords"
     secrets_folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    kept = {path.name: path.read_text().strip() for path in sorted(secrets_folder.iterdir())}
-    passwords = new_passwords(gateways) | kept
+    kept = {path.name: path.read_text().strip() for path in sorted(secrets_folder.glob("[!.]*"))}
+    passwords = new_passwords(gateways) | {name: password for name, password in kept.items() if password}
     try:
         text = users_config(passwords, base_topic)
     except ValueError as error:
         raise GatewayError(str(error)) from None
     for name, password in passwords.items():
-        _write_secret(secrets_folder / name, password + "\n")
-    _write_secret(folder / "users.conf", text)
+        write_whole(secrets_folder / name, f"{password}\n".encode(), 0o600)
+    write_whole(folder / "users.conf", text.encode(), 0o600)
     return sorted(passwords)
-
-
-def _write_secret(path: Path, text: str) -> None:
-    path.touch(mode=0o600)
-    path.write_text(text)
 
 
 def program() -> str:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import yaml
 
 from gateway.errors import GatewayError
 from gateway.modules.remote import RemoteOperations, remote_suit
-from gateway.outputs.receiving import BrokerUnreachableError
 from gateway.outputs.settings import MqttSettings
 from gateway.support import yaml_text
 
@@ -34,22 +33,6 @@ def settings_of(given: list[str]) -> dict[str, Any]:
     return found
 
 
-@contextlib.asynccontextmanager
-async def _asking(settings: MqttSettings, gateway: str) -> AsyncIterator[RemoteOperations]:
-    """Reach a gateway by the first broker that lets us in. Raises ``BrokerUnreachableError``."""
-    doors = [settings, *(settings.at(address) for address in settings.failover)]
-    async with contextlib.AsyncExitStack() as stack:
-        for door in doors:
-            try:
-                remote = await stack.enter_async_context(remote_suit(door, gateway, "gateway"))
-            except BrokerUnreachableError:
-                if door is doors[-1]:
-                    raise
-            else:
-                break
-        yield remote
-
-
 async def _request(
     remote: RemoteOperations, gateway: str, verb: str, data: Mapping[str, Any]
 ) -> dict[str, Any]:
@@ -67,7 +50,7 @@ async def differences(
     settings: MqttSettings, gateway: str, wanted: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     """Return what settings would change at one gateway: setting, before, after. Raises ``GatewayError``."""
-    async with _asking(settings, gateway) as remote:
+    async with remote_suit(settings, gateway, "gateway") as remote:
         answer = await _request(remote, gateway, "configure", {"settings": wanted, "dry_run": True})
     return list(answer["differences"])
 
@@ -78,7 +61,7 @@ async def push(settings: MqttSettings, gateway: str, wanted: Mapping[str, Any], 
     within_s: after so long it goes back by itself. Returns whether anything changed. Raises ``GatewayError``
     where it refuses them, or does not come back.
     """
-    async with _asking(settings, gateway) as remote:
+    async with remote_suit(settings, gateway, "gateway") as remote:
         before = await _request(remote, gateway, "health", {})
         request = {"settings": wanted, "dry_run": False, "confirm_within_s": within_s}
         begun_s = time.monotonic()
@@ -87,7 +70,7 @@ async def push(settings: MqttSettings, gateway: str, wanted: Mapping[str, Any], 
         return False
     while time.monotonic() - begun_s < within_s:
         with contextlib.suppress(GatewayError):
-            async with _asking(settings, gateway) as remote:
+            async with remote_suit(settings, gateway, "gateway") as remote:
                 now = await _request(remote, gateway, "health", {})
                 if _is_back(before, now):
                     await _request(remote, gateway, "confirm", {"token": answer["token"]})

@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 import gateway
-from devices.link import gateway_time_ns
+from devices.link import LinkError, gateway_time_ns
 from gateway.body.skeleton import Skeleton
 from gateway.contract.messages import BridgeInfo, UtcAnchor
 from gateway.emulation.simulation import suit_17
@@ -142,7 +142,10 @@ async def _until_terminated(plan: LightPlan) -> None:
 def main(arguments: Sequence[str]) -> None:
     """Run the plan that a file holds."""
     plain: Any = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
-    asyncio.run(_until_terminated(LightPlan.model_validate(plain)))
+    try:
+        asyncio.run(_until_terminated(LightPlan.model_validate(plain)))
+    except (GatewayError, LinkError) as error:
+        sys.exit(str(error))
 
 
 if __name__ == "__main__":

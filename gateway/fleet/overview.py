@@ -33,6 +33,8 @@ MOST_DELAY_S = 0.25
 MOST_GATEWAYS = 10_000
 _HEAD = re.compile(rb'\{"t_ns":(-?\d{1,19}),"seq":(-?\d{1,19})[,}]')
 _MODULE = re.compile(r"module/(\d{1,3})/state")
+_ANNOUNCED = (topics.BRIDGE_INFO, topics.BODY, topics.BRIDGE_STATE)
+"""What a gateway publishes before anything else, retained."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,8 @@ class Row:
 class Seen:
     """What was heard of one gateway."""
 
+    has_left: bool = False
+    """Whether it has taken off the brokers what was kept of it, as people before cameras do who go."""
     state: str = "unknown"
     info: BridgeInfo | None = None
     health: BridgeHealth | None = None
@@ -142,6 +146,8 @@ class Fleet:
         if address is None or (address[0] not in self.gateways and len(self.gateways) >= MOST_GATEWAYS):
             return
         name, below = address
+        if not self._is_there(name, below, payload):
+            return
         if below in (topics.POSE, topics.LATE_POSE):
             head = _HEAD.match(payload)
             if head is not None and not is_retained:
@@ -155,6 +161,21 @@ class Fleet:
             self._take_other(self.gateways.setdefault(name, Seen()), below, payload)
         except (ValidationError, orjson.JSONDecodeError):
             return
+
+    def _is_there(self, name: str, below: str, payload: bytes) -> bool:
+        """Return whether a message is of somebody who has not left. A pose may still be on its way then, over
+        another connection: who comes back says so first."""
+        known = self.gateways.get(name)
+        if not payload:
+            if below == topics.BRIDGE_STATE and known is not None:
+                self.gateways[name] = Seen(has_left=True)
+            return False
+        if known is None or not known.has_left:
+            return True
+        if below not in _ANNOUNCED:
+            return False
+        del self.gateways[name]
+        return True
 
     def _take_other(self, seen: Seen, below: str, payload: bytes) -> None:
         match below:
@@ -175,9 +196,10 @@ class Fleet:
 
     def rows(self, now_s: float) -> list[Row]:
         """Return a row for each gateway, by name."""
-        versions = Counter(seen.info.version for seen in self.gateways.values() if seen.info is not None)
+        there = {name: seen for name, seen in sorted(self.gateways.items()) if not seen.has_left}
+        versions = Counter(seen.info.version for seen in there.values() if seen.info is not None)
         usual = versions.most_common(1)[0][0] if versions else None
-        return [self._row(name, self.gateways[name], now_s, usual) for name in sorted(self.gateways)]
+        return [self._row(name, seen, now_s, usual) for name, seen in there.items()]
 
     def _row(self, name: str, seen: Seen, now_s: float, usual: str | None) -> Row:
         window = [each for each in seen.window if now_s - each[0] < WINDOW_S]

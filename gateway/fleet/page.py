@@ -32,33 +32,53 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inl
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>Fleet</title><style>
-body{font:15px system-ui,sans-serif;margin:1.5rem;background:#fff;color:#1b1f24}
-h1{font-size:1.3rem;margin:0 0 .3rem}#sum{margin:0 0 1rem}
+:root{color-scheme:light dark;--ink:#1b1f24;--soft:#57606a;--paper:#fff;--line:#d5d9de;--warn:#fff1e5;
+ --bad:#b00020;--good:#0a6b2d;--link:#0550ae}
+@media(prefers-color-scheme:dark){:root{--ink:#e6e9ec;--soft:#9aa4ae;--paper:#15181c;--line:#353b42;
+ --warn:#3b2614;--bad:#ff8a80;--good:#7ddc94;--link:#8ab8ff}}
+body{font:15px system-ui,sans-serif;margin:1.5rem;background:var(--paper);color:var(--ink)}
+h1{font-size:1.3rem;margin:0 0 .3rem}#sum{margin:0 0 1rem}a{color:var(--link)}
 table{border-collapse:collapse;width:100%}
-th,td{text-align:left;padding:.3rem .6rem;border-bottom:1px solid #d5d9de}
-th{position:sticky;top:0;background:#fff}td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}
-tr.alert{background:#fff1e5}.offline{color:#b00020}.online{color:#0a6b2d}
+th,td{text-align:left;padding:.3rem .6rem;border-bottom:1px solid var(--line);vertical-align:top}
+th{position:sticky;top:0;background:var(--paper);white-space:nowrap}
+.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
+tr.alert{background:var(--warn)}.offline{color:var(--bad)}.online{color:var(--good)}
+@media(max-width:60rem){body{margin:1rem}
+ thead{position:absolute;clip-path:inset(50%)}table,tbody{display:block}
+ tr{display:grid;grid-template-columns:repeat(auto-fill,minmax(4.5rem,1fr));gap:.3rem .6rem;
+  padding:.6rem;border-bottom:1px solid var(--line)}
+ td,td.n{border:0;padding:0;text-align:left;overflow-wrap:anywhere}
+ td::before{content:attr(data-head);display:block;font-size:.75rem;color:var(--soft)}
+ td:first-child,td:last-child{grid-column:1/-1}td:nth-child(2){grid-column:span 2}
+ td:first-child{font-weight:600}
+ td:first-child::before,td:empty{display:none}}
 </style></head><body><h1>Fleet</h1><p id="sum" role="status">reading …</p>
 <table><thead><tr><th>gateway<th>wearer<th>state<th class="n">poses/s<th class="n">loss<th class="n">delay ms
 <th class="n">lost<th class="n">late<th class="n">free GB<th>version<th>firmware<th>alerts</tr></thead>
 <tbody id="rows"></tbody></table><script>
-const cell=(tr,text,kind)=>{const td=tr.insertCell();td.textContent=text??"–"
- if(kind)td.className=kind;return td}
+const heads=[...document.querySelectorAll("th")],sum=document.getElementById("sum")
+const body=document.getElementById("rows"),shown=new Map()
+const put=(place,text)=>{if(place.textContent!==text)place.textContent=text}
+function rowOf(name){let tr=shown.get(name);if(tr)return tr
+ tr=document.createElement("tr");shown.set(name,tr)
+ for(const th of heads){const td=tr.insertCell()
+  td.dataset.head=th.textContent.trim();td.className=th.className}
+ const a=document.createElement("a");a.textContent=name;a.target="_blank";a.rel="noopener"
+ a.href="body?gateway="+encodeURIComponent(name);tr.cells[0].append(a);return tr}
+function show(g,at){const tr=rowOf(g.gateway),[,...cells]=tr.cells
+ const texts=[g.wearer,g.state,g.rate_hz.toFixed(1),(100*g.loss).toFixed(1)+" %",g.delay_ms?.toFixed(0),
+  g.lost,g.late,g.free_gb?.toFixed(0),g.version,g.firmware.join(", ")||null,g.alerts.join("; ")]
+ cells.forEach((td,i)=>put(td,String(texts[i]??"–")))
+ cells[1].className=g.state;tr.className=g.alerts.length?"alert":""
+ if(body.rows[at]!==tr)body.insertBefore(tr,body.rows[at]??null)}
 async function renew(){try{
  const report=await(await fetch("fleet.json",{cache:"no-store"})).json()
- const rows=document.getElementById("rows")
- const made=document.createElement("tbody");made.id="rows"
- for(const g of report){const tr=made.insertRow();if(g.alerts.length)tr.className="alert"
-  const a=document.createElement("a");a.textContent=g.gateway;a.target="_blank";a.rel="noopener"
-  a.href="body?gateway="+encodeURIComponent(g.gateway);cell(tr,"").replaceChildren(a)
-  cell(tr,g.wearer);cell(tr,g.state,g.state);cell(tr,g.rate_hz.toFixed(1),"n")
-  cell(tr,(100*g.loss).toFixed(1)+" %","n")
-  cell(tr,g.delay_ms?.toFixed(0),"n");cell(tr,g.lost,"n");cell(tr,g.late,"n");cell(tr,g.free_gb?.toFixed(0),"n")
-  cell(tr,g.version);cell(tr,g.firmware.join(", ")||null);cell(tr,g.alerts.join("; ")||"")}
- rows.replaceWith(made)
+ const there=new Set(report.map(g=>g.gateway))
+ for(const [name,tr] of shown)if(!there.has(name)){tr.remove();shown.delete(name)}
+ report.forEach(show)
  const bad=report.filter(g=>g.alerts.length).length,up=report.filter(g=>g.state=="online").length
- document.getElementById("sum").textContent=`${report.length} gateways, ${up} online, ${bad} with alerts`
-}catch(e){document.getElementById("sum").textContent="the overview does not answer"}setTimeout(renew,1000)}
+ put(sum,`${report.length} gateways, ${up} online, ${bad} with alerts`)
+}catch(e){put(sum,"the overview does not answer")}setTimeout(renew,1000)}
 renew()</script></body></html>
 """
 
@@ -87,7 +107,9 @@ class Bodies:
         (port,) = free_ports(1)
         settings = self._settings
         arguments = ["--host", settings.host, "--port", str(settings.port), "--gateway", gateway]
-        arguments += ["--base-topic", settings.base_topic, "--page-port", str(port), "--wait"]
+        arguments += [f"--failover={address}" for address in settings.failover]
+        arguments += ["--base-topic", settings.base_topic, "--protocol", settings.protocol]
+        arguments += ["--page-port", str(port), "--wait"]
         if settings.username is not None:
             arguments += ["--username", settings.username]
         if settings.tls is not None and settings.tls.ca_file is not None:

@@ -47,11 +47,7 @@ class Solved:
 
 def jobs_of(archive: Archive, method: str) -> list[Solving]:
     """A job for every recording that is kept. Raises ``ArchiveError`` when there is none."""
-    jobs = [
-        Solving(archive.folder.resolve(), path.resolve(), method)
-        for path in sorted(archive.recordings.rglob("*.mcap"))
-        if not path.name.startswith(".")
-    ]
+    jobs = [Solving(archive.folder.resolve(), path.resolve(), method) for path in archive.kept_recordings()]
     if not jobs:
         raise ArchiveError(
             f"{archive.folder} has no recordings to solve: take some in with `fleet archive add`"

@@ -16,10 +16,9 @@ from gateway.contract import topics
 from gateway.contract.messages import BridgeState
 from gateway.contract.request_messages import ResponseMessage
 from gateway.contract.topics import ANY_GATEWAY, Topics
-from gateway.errors import GatewayError
 from gateway.modules.operations import Plain, RequestError
-from gateway.outputs.connection import broker_connection, explain, unique_identifier
-from gateway.outputs.receiving import BrokerUnreachableError
+from gateway.outputs.connection import explain
+from gateway.outputs.failover import BrokerUnreachableError, any_connection
 from gateway.outputs.settings import MqttSettings
 
 _RETAINED_S = 1.0
@@ -78,26 +77,25 @@ class RemoteOperations:
 async def remote_suit(
     settings: MqttSettings, gateway: str = ANY_GATEWAY, family: str = "modules"
 ) -> AsyncIterator[RemoteOperations]:
-    """Connect to the broker of a gateway; without a name to that of the only one that is online.
+    """Connect to a broker of a gateway; without a name to that of the only one that is online.
 
     family: first part of the verbs that will be asked for.
-    Raises ``BrokerUnreachableError``, and ``RequestError`` when there is none or more than one.
+    Raises ``BrokerUnreachableError``, and ``RequestError`` when there is none or more than one, or the name
+    cannot stand in a topic.
     """
-    async with contextlib.AsyncExitStack() as stack:
-        identifier = unique_identifier(family)
-        try:
-            client = await stack.enter_async_context(broker_connection(settings, settings.port, identifier))
-            if gateway == ANY_GATEWAY:
-                # A command from somebody who does not name a gateway must not reach one of several by chance.
-                gateway = await _only_gateway(client, settings)
-            of_gateway = Topics(settings.base_topic, gateway)
-            # Subscribed before anything is asked: an answer without a subscriber is lost.
-            await client.subscribe(of_gateway.response(f"{family}/+"), qos=1)
-        except GatewayError:
-            raise
-        except Exception as error:
-            raise BrokerUnreachableError(explain(error, settings, settings.port)) from error
-        yield RemoteOperations(client, settings, of_gateway, family)
+    try:
+        answers = Topics(settings.base_topic, gateway).response(f"{family}/+")
+    except ValueError as error:
+        raise RequestError(str(error)) from None
+    # Subscribed before anything is asked: an answer without a subscriber is lost.
+    async with any_connection(settings, family, [answers]) as (client, door):
+        if gateway == ANY_GATEWAY:
+            # A command from somebody who does not name a gateway must not reach one of several by chance.
+            try:
+                gateway = await _only_gateway(client, door)
+            except aiomqtt.MqttError as error:
+                raise BrokerUnreachableError(explain(error, door, door.port)) from error
+        yield RemoteOperations(client, door, Topics(settings.base_topic, gateway), family)
 
 
 async def _only_gateway(client: aiomqtt.Client, settings: MqttSettings) -> str:

@@ -426,23 +426,22 @@ async def nap(seconds: float, interrupt: asyncio.Event) -> None:
 
 
 async def first_to_end(*parts: Coroutine[Any, Any, None]) -> None:
-    """Run parts until one of them ends, cancel the others, and raise what it raised, if anything."""
-    tasks = [asyncio.ensure_future(part) for part in parts]
+    """Run parts until one of them ends, end the others, and raise what it raised, if anything."""
+    tasks = [asyncio.create_task(part) for part in parts]
     try:
         ended, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in ended:
             task.result()
     finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await end_tasks(*tasks)
 
 
 async def end_tasks(*tasks: asyncio.Task[None]) -> None:
     """Cancel tasks until they have ended.
 
-    Once is not enough: a cancellation that arrives while an MQTT connection is being closed can be
-    turned into a connection error there, and a task that reconnects for ever would go on.
+    Once is not enough: a cancellation that arrives while an MQTT connection is being closed can be turned
+    into a connection error there, one that arrives together with the broker's answer is lost (Python 3.11,
+    ``asyncio.wait_for``), and a task that reconnects for ever would go on.
     """
     remaining = set(tasks)
     while remaining:

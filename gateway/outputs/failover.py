@@ -15,10 +15,12 @@ import asyncio
 import contextlib
 import itertools
 import logging
+import math
+import random
 import secrets
 import time
-from collections.abc import Callable, Coroutine, Sequence
-from contextlib import AsyncExitStack
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -26,6 +28,7 @@ import aiomqtt
 from pydantic import ValidationError
 
 from gateway.contract.messages import EchoMessage
+from gateway.errors import GatewayError
 from gateway.outputs.connection import (
     broker_back_off,
     broker_connection,
@@ -37,6 +40,17 @@ from gateway.outputs.connection import (
 from gateway.outputs.settings import MqttSettings
 
 _log = logging.getLogger(__name__)
+
+
+class BrokerUnreachableError(GatewayError, ConnectionError):
+    """No broker there, or it refuses us. ``str(error)`` says which and what would do."""
+
+
+_SPREAD_S = 1.0
+"""Longest pause before another connection stands by in the place of one that was lost: all gateways of a node
+lose it at once, and the nodes that are left have poses to take first."""
+_SETTLED_S = 1.0
+"""An address whose connection lasts for so long has let us in; one that hangs up sooner has failed."""
 
 
 class BrokerTurns:
@@ -78,10 +92,85 @@ class BrokerTurns:
         return [*self._doors[self._turn + 1 :], *self._doors[: self._turn]]
 
 
+class Admitted(NamedTuple):
+    """A connection, and the address that has let us in."""
+
+    client: aiomqtt.Client
+    settings: MqttSettings
+
+
+@contextlib.asynccontextmanager
+async def any_connection(
+    settings: MqttSettings, role: str, filters: Sequence[str] = ()
+) -> AsyncIterator[Admitted]:
+    """Connect and subscribe once, at the first address that lets us. role: part of the client identifier.
+
+    Raises ``BrokerUnreachableError`` where none does.
+    """
+    turns = BrokerTurns(settings, settings.port)
+    async with AsyncExitStack() as stack:
+        while True:
+            door = turns.settings
+            try:
+                client = await stack.enter_async_context(_subscribed(door, role, filters))
+                break
+            except Exception as error:
+                if turns.failed():
+                    raise BrokerUnreachableError(explain(error, door, door.port)) from error
+        yield Admitted(client, door)
+
+
+@contextlib.asynccontextmanager
+async def _subscribed(door: MqttSettings, role: str, filters: Sequence[str]) -> AsyncIterator[aiomqtt.Client]:
+    async with broker_connection(door, door.port, unique_identifier(role)) as client:
+        for topic in filters:
+            await client.subscribe(topic, qos=1)
+        yield client
+
+
+Use = Callable[[aiomqtt.Client], Coroutine[Any, Any, None]]
+
+
+async def keep_connected(
+    turns: BrokerTurns,
+    connect: Callable[[], AbstractAsyncContextManager[aiomqtt.Client]],
+    use: Use,
+    lost: Callable[[Exception], None],
+    stopping: asyncio.Event,
+) -> None:
+    """Call ``use`` with a connection, again with one to the next address when that is lost, until it is
+    stopping.
+
+    connect: to the address whose turn it is. use: returns where another connection is wanted. lost: told why
+    a connection was lost, or could not be made; what it raises ends all.
+    """
+    back_off = broker_back_off()
+    while not stopping.is_set():
+        begun_s, is_all_away = math.inf, False
+        try:
+            async with connect() as client:
+                begun_s = time.monotonic()
+                await use(client)
+            turns.succeeded()
+        except Exception as error:
+            lost(error)
+            if time.monotonic() - begun_s > _SETTLED_S:
+                back_off.reset()
+                turns.succeeded()
+            is_all_away = turns.failed()
+        if is_all_away:
+            await nap(back_off.next_delay(), stopping)
+
+
+_QUESTIONS = 2
+"""In the time that an answer may take. More would notice a silent broker sooner, and give up more of those
+that have only paused on a machine with much to do; poses do not wait for it, see ``_Echo``."""
+
+
 async def keep_asking(
     client: aiomqtt.Client, within_s: float, on_answer: Callable[[float], None] | None = None
 ) -> None:
-    """Ask the broker for an answer twice in ``within_s``, for ever.
+    """Ask the broker for an answer ``_QUESTIONS`` times in ``within_s``, for ever.
 
     on_answer: told when the question that was answered had been asked (``time.monotonic()``, s): a broker
     reads in order, so that it has all that was published before. Raises ``aiomqtt.MqttError`` for an answer
@@ -110,7 +199,7 @@ async def keep_asking(
             raise aiomqtt.MqttError(f"the broker has not answered for {within_s:g} s")
         if on_answer is not None:
             on_answer(asked_s)
-        await asyncio.sleep(max(within_s / 2 - (time.monotonic() - asked_s), 0.0))
+        await asyncio.sleep(max(within_s / _QUESTIONS - (time.monotonic() - asked_s), 0.0))
 
 
 class _Ready(NamedTuple):
@@ -161,6 +250,7 @@ class ClusterConnection:
         self._role = role
         self._echo_topic = echo
         self._is_echo_received = False  # there may be no right to
+        self._has_lost = False
         self._options = options
         self._ready: _Ready | None = None
 
@@ -176,33 +266,31 @@ class ClusterConnection:
 
     async def run(
         self,
-        use: Callable[[aiomqtt.Client], Coroutine[Any, Any, None]],
+        use: Use,
         lost: Callable[[Exception], None],
         stopping: asyncio.Event,
         companions: Companions = Companions(),
     ) -> None:
-        """Call ``use`` with a connection, again with another one when that is lost, until it is stopping.
+        """Do as ``keep_connected`` does; a connection that is lost is replaced by the one that stands by."""
 
-        lost: told why a connection was lost, or could not be made.
-        """
-        back_off = broker_back_off()
+        async def use_beside_companions(client: aiomqtt.Client) -> None:
+            await first_to_end(use(client), *self._companions(client, companions))
+
+        def note_lost(error: Exception) -> None:
+            self._has_lost = True
+            lost(error)
+
         try:
-            while not stopping.is_set():
-                is_all_away = False
-                try:
-                    client, stack, _ = self._take() or await self._connected(self._turns.settings)
-                    back_off.reset()
-                    self._turns.succeeded()
-                    async with stack:
-                        await first_to_end(use(client), *self._companions(client, companions))
-                except Exception as error:
-                    lost(error)
-                    is_all_away = self._turns.failed()
-                if is_all_away:
-                    await nap(back_off.next_delay(), stopping)
+            await keep_connected(self._turns, self._next, use_beside_companions, note_lost, stopping)
         finally:
             if self._ready is not None:
                 await self._ready.stack.aclose()
+
+    @contextlib.asynccontextmanager
+    async def _next(self) -> AsyncIterator[aiomqtt.Client]:
+        ready = self._take() or await self._connected(self._turns.settings)
+        async with ready.stack:
+            yield ready.client
 
     def _companions(self, client: aiomqtt.Client, of: Companions) -> list[Coroutine[Any, Any, None]]:
         """Return what goes on while a connection is in use."""
@@ -235,6 +323,8 @@ class ClusterConnection:
         """Keep a connection to the next address, for ever; cancelled, it leaves it as it is."""
         back_off = broker_back_off()
         try:
+            if self._has_lost:
+                await asyncio.sleep(random.uniform(0, _SPREAD_S))
             for settings in itertools.cycle(self._turns.others()):
                 try:
                     ready = self._ready = await self._connected(settings)
@@ -277,8 +367,9 @@ class ClusterConnection:
 class _Echo:
     """A message that is published at one node, and listened for at another."""
 
-    MISSED = 3
-    """In a row, after which it stays away. Our own pauses cost one."""
+    MISSED = 4
+    """In a row, after which it stays away. Our own pauses cost one. So poses take both ways after 1 to 1.25
+    of the time that an answer may take; where it was but a pause, they came twice for a moment."""
     REMEMBERED = 100
 
     def __init__(self, topic: str, report: Callable[[bool], None], confirm: Confirm | None) -> None:
@@ -337,17 +428,17 @@ async def follow_kept(
     On a connection of its own: a cluster that has lost a node may not tell what it retains for some seconds,
     and answers nothing else on that connection meanwhile.
     """
-    back_off, turns = broker_back_off(), BrokerTurns(settings, settings.port)
-    while True:
-        door = turns.settings
-        try:
-            async with broker_connection(door, door.port, unique_identifier(role)) as client:
-                await client.subscribe([(topic, 0) for topic in filters])
-                back_off.reset()
-                turns.succeeded()
-                async for message in client.messages:
-                    take(message)
-        except Exception as error:
-            _log.debug("what is retained: %s", explain(error, door, door.port))
-            turns.failed()
-        await asyncio.sleep(back_off.next_delay())
+    turns = BrokerTurns(settings, settings.port)
+
+    async def read(client: aiomqtt.Client) -> None:
+        await client.subscribe([(topic, 0) for topic in filters])
+        async for message in client.messages:
+            take(message)
+
+    def connect() -> AbstractAsyncContextManager[aiomqtt.Client]:
+        return broker_connection(turns.settings, turns.settings.port, unique_identifier(role))
+
+    def lost(error: Exception) -> None:
+        _log.debug("what is retained: %s", explain(error, turns.settings, turns.settings.port))
+
+    await keep_connected(turns, connect, read, lost, asyncio.Event())

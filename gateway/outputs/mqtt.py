@@ -13,6 +13,7 @@ import logging
 import secrets
 import time
 from collections.abc import Callable, Coroutine, Iterator, Mapping
+from contextlib import AbstractAsyncContextManager
 from types import TracebackType
 from typing import Any, Self
 
@@ -39,7 +40,6 @@ from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
 from gateway.outputs.connection import (
     TIMEOUT_S,
-    broker_back_off,
     broker_connection,
     check_admittance,
     check_files,
@@ -51,7 +51,13 @@ from gateway.outputs.connection import (
     unique_identifier,
 )
 from gateway.outputs.direct_publishing import DirectPublisher
-from gateway.outputs.failover import BrokerTurns, ClusterConnection, Companions, keep_asking
+from gateway.outputs.failover import (
+    BrokerTurns,
+    ClusterConnection,
+    Companions,
+    keep_asking,
+    keep_connected,
+)
 from gateway.outputs.home_assistant import discovery
 from gateway.outputs.late_poses import LateOutlet
 from gateway.outputs.output import Thinning
@@ -445,42 +451,44 @@ class MqttOutput:
         self._keep_unsent()
 
     async def _run_main(self) -> None:
-        back_off = broker_back_off()
-        will = aiomqtt.Will(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
-        while not self._stopping.is_set():
-            if self._poses is not None and self.is_connected and not self._turns.has_failed:
-                self._turns.use(self._poses.settings)
-            settings, is_all_away = self._turns.settings, True
-            try:
-                async with broker_connection(
-                    settings,
-                    settings.port,
-                    self._identifier,
-                    will,
-                    on_answer=self.rights.answered,
-                    timeout_s=TIMEOUT_S if self._poses is None else _ELECTION_S,
-                ) as client:
-                    back_off.reset()
-                    self._turns.succeeded()
-                    self.rights.begin_again()
-                    self._probe_due = 0.0
-                    await self._name.watch(client, self._where, is_first=not self._connections)
-                    # A publication may go on waiting for a connection that is lost already.
-                    await first_to_end(self._listen(client), self._serve(client), *self._watch(client))
-            except NameTaken:
-                return
-            except Exception as error:
-                if self._poses is None:
-                    self._report_outage(error)
-                else:
-                    logger.debug("%s: what is retained waits: %s", self._turns.settings.port, error)
-                is_all_away = self._turns.failed()
-                if self._poses is None:
-                    self._keep_unsent()
-            if self._poses is None:
-                self.is_connected = self._queue.has_broker = False
-            if is_all_away:
-                await nap(back_off.next_delay(), self._stopping)
+        with contextlib.suppress(NameTaken):
+            await keep_connected(
+                self._turns, self._main_connection, self._use_main, self._lost_main, self._stopping
+            )
+        if self._poses is None:
+            self.is_connected = self._queue.has_broker = False
+
+    def _main_connection(self) -> AbstractAsyncContextManager[aiomqtt.Client]:
+        """Return that of state, health and names; where there is no cluster, of poses too."""
+        if self._poses is not None and self.is_connected and not self._turns.has_failed:
+            self._turns.use(self._poses.settings)
+        settings = self._turns.settings
+        return broker_connection(
+            settings,
+            settings.port,
+            self._identifier,
+            aiomqtt.Will(self.topics.bridge_state, _OFFLINE, qos=1, retain=True),
+            on_answer=self.rights.answered,
+            timeout_s=TIMEOUT_S if self._poses is None else _ELECTION_S,
+        )
+
+    async def _use_main(self, client: aiomqtt.Client) -> None:
+        self.rights.begin_again()
+        self._probe_due = 0.0
+        await self._name.watch(client, self._where, is_first=not self._connections)
+        # A publication may go on waiting for a connection that is lost already.
+        await first_to_end(self._listen(client), self._serve(client), *self._watch(client))
+
+    def _lost_main(self, error: Exception) -> None:
+        """Raises ``NameTaken``, which is no loss."""
+        if isinstance(error, NameTaken):
+            raise error
+        if self._poses is not None:
+            logger.debug("%s: what is retained waits: %s", self._turns.settings.port, error)
+            return
+        self._report_outage(error)
+        self._keep_unsent()
+        self.is_connected = self._queue.has_broker = False
 
     def _watch(self, client: aiomqtt.Client) -> list[Coroutine[Any, Any, None]]:
         """Return what goes on beside publishing where a silent broker is to be noticed soon."""

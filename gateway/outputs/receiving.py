@@ -9,19 +9,14 @@ from collections.abc import Callable, Sequence
 import aiomqtt
 
 from gateway.contract.topics import Topics
-from gateway.errors import GatewayError
 from gateway.outputs.connection import MOST_MESSAGES, explain, first_to_end, unique_identifier
-from gateway.outputs.failover import ClusterConnection, Companions, follow_kept
+from gateway.outputs.failover import BrokerUnreachableError, ClusterConnection, Companions, follow_kept
 from gateway.outputs.settings import MqttSettings
 
 _log = logging.getLogger(__name__)
 
 _A_TURN = 64
 """Messages; then the event loop has its turn."""
-
-
-class BrokerUnreachableError(GatewayError, ConnectionError):
-    """No broker there, or it refuses us. ``str(error)`` says which and what would do."""
 
 
 class Receiver:

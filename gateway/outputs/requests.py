@@ -13,6 +13,7 @@ import logging
 import math
 import time
 from collections.abc import Awaitable, Callable, Mapping
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,14 +34,13 @@ from gateway.contract.topics import Topics
 from gateway.errors import GatewayError, nearest
 from gateway.outputs.connection import (
     Allowance,
-    broker_back_off,
     broker_connection,
     end_tasks,
     explain,
     first_to_end,
     unique_identifier,
 )
-from gateway.outputs.failover import BrokerTurns, keep_asking
+from gateway.outputs.failover import BrokerTurns, keep_asking, keep_connected
 from gateway.outputs.settings import MqttSettings
 
 _log = logging.getLogger(__name__)
@@ -115,27 +115,27 @@ class RequestResponder:
         self._tasks = []
 
     async def _listen_for_ever(self, port: int) -> None:
-        back_off, turns = broker_back_off(), BrokerTurns(self._settings, port)
-        while True:
-            settings, is_all_away = turns.settings, True
-            try:
-                identifier = unique_identifier("requests")
-                async with broker_connection(
-                    settings, settings.port, identifier, on_full=self._note_dropped
-                ) as client:
-                    await client.subscribe(self._topics.request("#"), qos=1)
-                    self._client, self.is_connected = client, True
-                    back_off.reset()
-                    turns.succeeded()
-                    watching = [keep_asking(client, settings.answer_within)] if settings.is_watched else []
-                    await first_to_end(self._take_all(client), *watching)
-            except Exception as error:
-                # The output for poses says so too, as a warning.
-                _log.debug("requests: %s", explain(error, settings, settings.port))
-                is_all_away = turns.failed()
+        turns = BrokerTurns(self._settings, port)
+
+        def connect() -> AbstractAsyncContextManager[aiomqtt.Client]:
+            settings, identifier = turns.settings, unique_identifier("requests")
+            return broker_connection(settings, settings.port, identifier, on_full=self._note_dropped)
+
+        def lost(error: Exception) -> None:
+            # The output for poses says so too, as a warning.
+            _log.debug("requests: %s", explain(error, turns.settings, turns.settings.port))
+
+        await keep_connected(turns, connect, self._listen, lost, asyncio.Event())
+
+    async def _listen(self, client: aiomqtt.Client) -> None:
+        await client.subscribe(self._topics.request("#"), qos=1)
+        self._client, self.is_connected = client, True
+        settings = self._settings
+        watching = [keep_asking(client, settings.answer_within)] if settings.is_watched else []
+        try:
+            await first_to_end(self._take_all(client), *watching)
+        finally:
             self._client, self.is_connected = None, False
-            if is_all_away:
-                await asyncio.sleep(back_off.next_delay())
 
     async def _take_all(self, client: aiomqtt.Client) -> None:
         """Until the connection ends; raises ``aiomqtt.MqttError`` when it was lost."""

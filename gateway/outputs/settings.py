@@ -6,7 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from gateway.support.credentials import AccessToken, read_secret
 
@@ -84,7 +84,15 @@ class LateSettings(BaseModel):
     )
 
 
-BrokerAddress = Annotated[str, Field(pattern=r"^[^\s/:]+:[1-9]\d{0,4}$")]
+def _checked_address(address: str) -> str:
+    host, _, port = address.rpartition(":")
+    is_port = port.isascii() and port.isdigit() and 0 < int(port) < 1 << 16
+    if not is_port or not host or set(host) & set("/: \t\n"):
+        raise ValueError("HOST:PORT is wanted, such as broker2:1883")
+    return address
+
+
+BrokerAddress = Annotated[str, AfterValidator(_checked_address)]
 
 
 class MqttSettings(BaseModel):

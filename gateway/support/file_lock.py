@@ -16,15 +16,17 @@ _INTERVAL_S = 0.01
 def file_lock(path: Path, patience_s: float = 0.0, note: str = "") -> Iterator[None]:
     """Hold the lock of a file, which is made where there is none and stays.
 
-    patience_s: how long another holder is waited for. note: written into the file, for those who are refused.
+    patience_s: how long another holder is waited for. note: written into the file where that can be done, for
+    those who are refused.
     Raises ``BlockingIOError`` when somebody else holds it, ``OSError`` for a file that cannot be used.
     """
     lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         _take(lock, time.monotonic() + patience_s)
         if note:
-            os.ftruncate(lock, 0)
-            os.write(lock, note.encode())
+            with contextlib.suppress(OSError):  # a disk may be full, and this be what makes room
+                os.ftruncate(lock, 0)
+                os.write(lock, note.encode())
         yield
     finally:
         os.close(lock)

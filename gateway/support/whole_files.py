@@ -20,24 +20,27 @@ def writing(path: Path) -> Iterator[None]:
         raise GatewayError(f"{path} cannot be written: {error.strerror}") from error
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes, mode: int | None = None) -> None:
     """Write a file so that nobody ever sees a part of it; one that is there is replaced.
 
+    mode: permissions, such as 0o600 for a secret; none: those of the file that is there, or the usual ones.
     Raises ``OSError``, such as for a full disk; then all is as it was before.
     """
-    with replacing(path) as made:
+    with replacing(path, mode) as made:
         made.write_bytes(content)
 
 
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, mode: int | None = None) -> Iterator[Path]:
     """Give an empty file to write, which takes the place of ``path`` in the end; after an error it is gone,
-    and all is as it was before."""
+    and all is as it was before. mode: as in ``write_whole``. An ``OSError`` names ``path``."""
     path = path.resolve()  # what a link stands for is replaced, not the link
-    mode = path.stat().st_mode if path.exists() else 0o666 & ~_umask()
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    made = Path(name)
+    if mode is None:
+        mode = path.stat().st_mode if path.exists() else 0o666 & ~_umask()
+    prefix, made = f".{path.name}.", None
     try:
+        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=prefix)
+        made = Path(name)
         try:
             yield made
             os.fsync(descriptor)
@@ -45,8 +48,13 @@ def replacing(path: Path) -> Iterator[Path]:
             os.close(descriptor)
         made.chmod(mode & 0o7777)
         made.replace(path)
-    except BaseException:
-        made.unlink(missing_ok=True)
+    except BaseException as error:
+        if made is not None:
+            made.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno is not None:
+            named = [str(name) for name in (error.filename, error.filename2) if name is not None]
+            if not named or any(prefix in name for name in named):
+                raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
         raise
 
 

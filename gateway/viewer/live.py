@@ -16,7 +16,7 @@ from gateway.contract.messages import BodyMessage, MarkersMessage
 from gateway.contract.topics import ANY_GATEWAY
 from gateway.errors import GatewayError
 from gateway.modules.remote import remote_suit
-from gateway.outputs.receiving import BrokerUnreachableError
+from gateway.outputs.failover import BrokerUnreachableError
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.recording import SkeletonArrays

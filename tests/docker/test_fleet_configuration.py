@@ -66,9 +66,15 @@ def test_users_keep_their_passwords_which_only_their_owner_may_read(tmp_path: Pa
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
-def test_a_name_that_cannot_stand_in_a_topic_is_refused(tmp_path: Path):
-    with pytest.raises(GatewayError, match="must not be empty, nor hold"):
-        cluster.write_users(tmp_path, ["gw/1"])
+@pytest.mark.parametrize("name", ["", "gw/1", "gw 1", "*", ">", "gw>", "+", "#", "..", "gw\n1"])
+def test_a_name_with_which_rights_cannot_be_written_is_refused(tmp_path: Path, name: str):
+    """A gateway named * could publish the poses of all others."""
+    for gateways, sites, base_topic in (([name], [], "mocap"), (["a"], [name], "mocap"), (["a"], [], name)):
+        if (name, base_topic) == ("gw/1", name):
+            continue  # a base topic may have levels
+        with pytest.raises(GatewayError, match="must not be empty, nor hold"):
+            cluster.write_users(tmp_path, gateways, base_topic, sites)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["overview", "operator", "leaf-ward"])

@@ -26,6 +26,19 @@ SHIPPED = Path(__file__).resolve().parents[2] / "docker" / "mosquitto"
 USERS = ("gateway", "operator", "app")
 REQUEST = "mocap/gateway1/bridge/request/recording/start"
 POSE = "mocap/gateway1/pose"
+TOPICS = [
+    *(
+        f"mocap/gateway1/{below}"
+        for below in ("pose", "pose/late", "body", "module/1/state", "bridge/echo/1")
+    ),
+    *(f"mocap/gateway1/bridge/{below}" for below in ("state", "info", "health", "response/gateway/health")),
+    *(
+        f"mocap/gateway1/bridge/request/{verb}"
+        for verb in ("recording/start", "gateway/configure", "reset/full")
+    ),
+    "other/gateway1/pose",
+    "homeassistant/device/x/config",
+]
 SBIN = "/usr/sbin:/usr/local/sbin:/usr/bin:/bin"
 
 pytestmark = [
@@ -49,7 +62,7 @@ def make_certificates(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def shipped_broker(folder: Path, port: int, with_tls: bool = False):
+def shipped_broker(folder: Path, port: int, with_tls: bool = False, more_rights: str = ""):
     """mosquitto with the shipped file, its paths and port put into the test's folder."""
     config = (SHIPPED / "mosquitto.conf").read_text()
     if with_tls:
@@ -60,7 +73,7 @@ def shipped_broker(folder: Path, port: int, with_tls: bool = False):
     config = config.replace("listener 1883", f"listener {port} 127.0.0.1")
     config = config.replace("/mosquitto/config/", f"{folder}/").replace("/mosquitto/data/", f"{folder}/")
     (folder / "mosquitto.conf").write_text(config + "\nuser root\n")
-    shutil.copy(SHIPPED / "acl", folder / "acl")
+    (folder / "acl").write_text((SHIPPED / "acl").read_text() + f"\n{more_rights}\n")
     (folder / "acl").chmod(0o600)
     (folder / "passwords").touch(0o600)
     for user in USERS:
@@ -119,6 +132,49 @@ async def test_only_the_named_user_may_send_requests(tmp_path, unused_port):
         assert not await heard(unused_port, "app", POSE)
         assert not await heard(unused_port, "operator", POSE)
         assert await heard(unused_port, "gateway", POSE)
+
+
+@pytest.mark.parametrize(
+    ("user", "refused"),
+    [
+        ("gateway", {"other/gateway1/pose", "homeassistant/device/x/config"}),
+        ("operator", {*TOPICS} - {topic for topic in TOPICS if "/bridge/request/" in topic}),
+        ("app", {*TOPICS}),
+    ],
+)
+async def test_each_user_publishes_what_is_theirs_and_nothing_else(tmp_path, unused_port, user, refused):
+    """Written with MQTT 5 and QoS 1, where the broker says what it refuses."""
+    answers: dict[str, bool] = {}
+
+    def note(topic, code):
+        answers[topic] = code.is_failure
+
+    with shipped_broker(tmp_path, unused_port):
+        (tmp_path / "password").write_text(f"{user}-pw")
+        settings = MqttSettings(
+            port=unused_port, username=user, password_file=tmp_path / "password", protocol="5"
+        )
+        async with broker_connection(settings, unused_port, "rights", on_answer=note) as client:
+            for topic in TOPICS:
+                await client.publish(topic, b"{}", qos=1)
+    assert answers == {topic: topic in refused for topic in TOPICS}
+
+
+@pytest.mark.parametrize("user", ["operator", "app"])
+async def test_who_reads_hears_all_gateways_and_nothing_else(tmp_path, unused_port, user):
+    """A gateway receives its own state, health and echoes too: ``test_the_gateway_hears_…`` has the rest."""
+    elsewhere = "other/gateway1/pose"
+    with shipped_broker(tmp_path, unused_port, more_rights=f"user gateway\ntopic write {elsewhere}"):
+        async with client_of(user, unused_port) as reader, client_of("gateway", unused_port) as gateway:
+            await reader.subscribe("#")
+            read = [topic for topic in TOPICS if topic.startswith("mocap/")]
+            for topic in (elsewhere, *read):
+                await gateway.publish(topic, b"{}", qos=1)
+            heard = []
+            async with asyncio.timeout(PATIENCE_S):
+                while read[-1] not in heard:
+                    heard.append((await anext(aiter(reader.messages))).topic.value)
+    assert heard == read
 
 
 async def test_the_gateway_hears_requests_and_nothing_else(tmp_path, unused_port):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 from datetime import UTC, datetime
 
 import pytest
@@ -13,7 +15,7 @@ from gateway.calibration.mounting import history, keep, restore
 from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.errors import GatewayError
 from gateway.support.settings_files import shipped_folder
-from gateway.support.whole_files import write_whole
+from gateway.support.whole_files import replacing, write_whole
 
 NOW = datetime(2026, 5, 1, tzinfo=UTC)
 
@@ -95,3 +97,26 @@ def test_a_recording_that_cannot_begin_leaves_no_file(tmp_path, full_disk):
     with pytest.raises(OSError, match="No space"):
         RecordingWriter(tmp_path / "walk.mcap", session, {"rig.yaml": b"body: single"}, 1)
     assert names(tmp_path) == []
+
+
+def test_an_error_names_the_file_that_was_wanted(tmp_path):
+    """And not the one that is made beside it, which is gone by then."""
+    wanted, source = tmp_path / "wanted", tmp_path / "source"
+    full = OSError(errno.ENOSPC, "no room")
+    with pytest.raises(OSError, match=f"No space left on device: '{wanted}'$"), replacing(wanted):
+        raise full
+    with pytest.raises(OSError, match=f"No space left on device: '{wanted}'$"), replacing(wanted) as made:
+        raise OSError(errno.ENOSPC, "no room", str(source), None, str(made))
+    with pytest.raises(FileNotFoundError, match=f"'{source}'"), replacing(wanted):
+        source.read_bytes()
+    with pytest.raises(FileNotFoundError, match=f"'{tmp_path / 'absent' / 'file'}'$"):
+        write_whole(tmp_path / "absent" / "file", b"")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_secret_is_its_owners_alone_from_the_beginning(tmp_path):
+    path = tmp_path / "secret"
+    for content in (b"one", b"two"):
+        write_whole(path, content, 0o600)
+        assert (path.read_bytes(), stat.S_IMODE(path.stat().st_mode)) == (content, 0o600)
+        path.chmod(0o644)

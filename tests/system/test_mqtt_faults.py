@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from gateway.outputs import connection, mqtt
+from gateway.outputs.failover import BrokerUnreachableError
 from gateway.outputs.mqtt import MqttOutput
-from gateway.outputs.receiving import BrokerUnreachableError
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
 from tests.patience import PATIENCE_S

@@ -22,8 +22,8 @@ from gateway.contract import topics
 from gateway.contract.messages import PUBLICATIONS, ModuleAvailability, ModuleState
 from gateway.contract.properties import MSGPACK
 from gateway.outputs.connection import broker_connection
+from gateway.outputs.failover import BrokerUnreachableError
 from gateway.outputs.mqtt import MqttOutput
-from gateway.outputs.receiving import BrokerUnreachableError
 from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings, PoseFormat, PoseMap, TlsSettings
 from gateway.outputs.subscriber import PoseSubscriber
 from tests.patience import PATIENCE_S

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import shutil
 import stat
@@ -104,9 +105,86 @@ def test_a_collector_that_begins_anew_takes_nothing_twice(archive: Archive):
     assert restarted.rows == 1  # a gateway that was started again counts from the beginning
 
 
-@pytest.mark.parametrize("payload", [b"{", b"[]", b'{"seq":1}', pose(1, segments=5)])
-def test_what_is_no_pose_is_counted(archive: Archive, payload: bytes):
-    assert collected(archive, ("g/bridge/info", info()), ("g/pose", payload)).undecodable == 1
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"{",
+        b"[]",
+        b'{"seq":1}',
+        pose(1, segments=5),
+        pose(1, segments={"pelvis": [1.0, 0.0]}),
+        pose(1, segments={"pelvis": ["x", 0.0, 0.0, 0.0]}),
+        pose(1, t_ns=2**62 * 3),
+        pose(1, t_ns=1e300),
+        pose(1, joint_angles={"right_knee": {"flexion": "much"}}),
+    ],
+)
+def test_what_is_no_pose_is_counted_and_holds_up_no_other(archive: Archive, payload: bytes):
+    sent = [("g/bridge/info", info()), ("g/pose", payload), ("g/pose", pose(2))]
+    collector = collected(archive, *sent)
+    assert (collector.undecodable, collector.rows) == (1, 1)
+
+
+def test_a_method_that_would_lead_out_of_the_archive_is_not_taken(archive: Archive):
+    told = orjson.dumps(orjson.loads(info()) | {"reconstructor": "../../../outside"})
+    collector = collected(archive, ("g/bridge/info", told), ("g/pose", pose(1)))
+    assert (collector.undecodable, collector.rows) == (1, 0)
+    with pytest.raises(ArchiveError, match=r"method '\.\./x'"):
+        Partition("../x", "ward2", "2026-01-01", "0")
+    assert {path.name for path in archive.folder.iterdir()} <= {".key", ".lock", "catalogue.parquet"}
+
+
+def test_half_a_file_is_told_and_left_out(archive: Archive, caplog: pytest.LogCaptureFixture):
+    said = [("g/bridge/info", info()), *(("g/pose", pose(seq)) for seq in range(5))]
+    collected(archive, *said)
+    (whole,) = archive.poses.rglob("*.parquet")
+    half = whole.with_name("stream_half.parquet")
+    half.write_bytes(whole.read_bytes()[:-100])
+    assert archive.renew_catalogue() == 1
+    assert f"{half} is no file of rows" in caplog.text
+    with pytest.raises(ArchiveError, match=rf"{half}.*: that file is damaged, delete it"):
+        rows(archive, "SELECT count(*) FROM poses")
+    assert collected(archive, *said).repeated == 5
+    assert archive.forget("anna") == (2, 0)
+
+
+def test_a_damaged_catalogue_is_made_of_the_files_again(archive: Archive):
+    collected(archive, ("g/bridge/info", info()), ("g/pose", pose(1)))
+    for damage in (b"PAR1", b""):
+        (archive.folder / "catalogue.parquet").write_bytes(damage)
+        assert rows(archive, "SELECT rows FROM catalogue") == [(1,)]
+    (archive.folder / "catalogue.parquet").unlink()
+    assert rows(archive, "SELECT rows FROM catalogue") == [(1,)]
+
+
+def test_what_cannot_be_written_waits_until_it_can(archive: Archive, monkeypatch: pytest.MonkeyPatch):
+    def full(*_arguments: object, **_options: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    collector = Collector(archive, "ward2", "mocap", {"g": "anna"})
+    collector.take(Sent("mocap/g/bridge/info", info()))  # type: ignore[arg-type]
+    collector.take(Sent("mocap/g/pose", pose(1)))  # type: ignore[arg-type]
+    with monkeypatch.context() as broken:
+        broken.setattr("pyarrow.parquet.write_table", full)
+        with pytest.raises(OSError, match=r"No space left on device: '.*stream_.*\.parquet'"):
+            collector.flush()
+    assert collector.waiting == 1
+    collector.flush()
+    assert (collector.waiting, rows(archive, "SELECT seq FROM poses")) == (0, [(1,)])
+    assert not list(archive.poses.rglob(".*"))
+
+
+def test_a_damaged_key_is_told(archive: Archive):
+    for text in ("", "not hexadecimal", "00"):
+        (archive.folder / ".key").write_text(text)
+        with pytest.raises(ArchiveError, match=r"\.key holds no key"):
+            Archive(archive.folder)
+
+
+def test_one_name_is_one_wearer_however_it_is_composed(archive: Archive):
+    assert archive.pseudonym("Zo\u00eb") == archive.pseudonym(" Zoe\u0308") != archive.pseudonym("Zoe")
+    with pytest.raises(ArchiveError, match="name of a wearer is empty"):
+        archive.pseudonym(" ")
 
 
 def test_nothing_is_left_of_a_wearer_who_is_forgotten(archive: Archive):
@@ -195,7 +273,7 @@ def test_solved_again_it_goes_on_and_gives_the_same_bytes_though_a_worker_is_kil
 
 def test_solving_writes_where_it_came_from(archive: Archive):
     path = CAPTURES / "walking.mcap"
-    kept, _ = archive.add(open_recording(path), path, "ward2", "anna")
+    kept, *_ = archive.add(open_recording(path), path, "ward2", "anna")
     outcome = solving.perform(solving.Solving(archive.folder, kept, "independent"))
     assert outcome.error is None
     archive.renew_catalogue()

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import json
 import urllib.request
-from typing import Any
+from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING, Any
 
+import aiomqtt
 import orjson
 import psutil
 import pytest
@@ -13,8 +17,16 @@ import pytest
 from gateway.contract.messages import BridgeHealth, BridgeInfo, OutputCounters, UtcAnchor
 from gateway.errors import GatewayError
 from gateway.fleet import cluster as clusters
-from gateway.fleet.overview import Fleet, Row
+from gateway.fleet.overview import Fleet, Row, as_plain, listener, take_into
+from gateway.fleet.page import Bodies, OverviewServer
+from gateway.outputs.connection import broker_connection, unique_identifier
+from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.settings import MqttSettings
 from tests.patience import PATIENCE_S
+
+if TYPE_CHECKING:
+    from tests.fixtures.clusters import GuardedCluster
+    from tests.fixtures.poses import PoseSource
 
 INFO = BridgeInfo(
     version="1.0",
@@ -117,6 +129,26 @@ def test_alerts_say_what_is_wrong():
     assert d.alerts == ("poses are 500 ms late",)
 
 
+def test_who_has_left_is_no_longer_shown_until_they_come_back():
+    """Somebody before cameras takes off the broker what is kept of them; one who died stays offline."""
+    heard = Heard()
+    for name in ("lab", "lab_2"):
+        heard.online(name)
+        heard.poses(range(10), name)
+    heard.say("lab/bridge/state", b'{"state":"offline"}')  # its will
+    heard.say("lab_2/bridge/state", b'{"state":"offline"}')
+    for below in ("bridge/info", "body", "bridge/state"):
+        heard.say(f"lab_2/{below}", b"")
+    heard.pose(10, "lab_2")  # was on its way, over another connection
+    heard.say("lab_2/pose/late", b'{"t_ns":1,"seq":10}')
+    heard.say("lab_2/module/1/state", b"")
+    assert [(row.gateway, row.state) for row in heard.fleet.rows(heard.now_s)] == [("lab", "offline")]
+    heard.online("lab_2")
+    heard.poses(range(3), "lab_2")
+    back = heard.row(1)
+    assert (back.gateway, back.state, back.lost) == ("lab_2", "online", 0)
+
+
 @pytest.mark.parametrize(
     "said",
     [
@@ -171,7 +203,67 @@ def test_the_demonstration_shows_all_gateways_on_a_page_that_names_no_stranger(
 
 
 @pytest.mark.system
+async def test_who_leaves_goes_from_every_node_and_who_dies_stays_offline_on_all(
+    cluster: GuardedCluster, pose_source: PoseSource, until: Callable[..., Awaitable[None]]
+) -> None:
+    fleet = Fleet()
+
+    def states() -> dict[str, str]:
+        return {row.gateway: row.state for row in fleet.rows(0.0)}
+
+    receiver = listener(cluster.settings(first=1), take_into(fleet))
+    listening = asyncio.create_task(receiver.run())
+    await receiver.subscribed.wait()
+    person = MqttOutput(cluster.settings("ward"), pose_source.skeleton, pose_source.info("ward"))
+    person.leaves_nothing = True
+    lab = cluster.settings("lab")
+    will = aiomqtt.Will("mocap/lab/bridge/state", b'{"state":"offline"}', 1, True)
+    async with person:
+        with contextlib.suppress(ConnectionResetError):
+            async with broker_connection(lab, lab.port, unique_identifier("test"), will) as dying:
+                await dying.publish("mocap/lab/bridge/state", b'{"state":"online"}', 1, True)
+                await until(lambda: states() == {"lab": "online", "ward": "online"})
+                raise ConnectionResetError
+        await until(lambda: states() == {"lab": "offline", "ward": "online"})
+    await until(lambda: states() == {"lab": "offline"})
+    listening.cancel()
+    await asyncio.gather(listening, return_exceptions=True)
+    for node in range(len(cluster.nodes)):
+        later = Fleet()
+        asked = listener(cluster.settings(first=node), take_into(later))
+        task = asyncio.create_task(asked.run())
+        await until(lambda later=later: [row.state for row in later.rows(0.0)] == ["offline"])
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+@pytest.mark.system
 def test_no_broker_is_told_in_one_line(command: Any, unused_port: int):
     running = command("fleet", "list", "--port", str(unused_port))
     assert running.wait() == 1
     assert f"no MQTT broker at 127.0.0.1:{unused_port}" in running.errors
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("width", [1280, 390], ids=["desktop", "phone"])
+async def test_the_page_keeps_its_rows_and_fits_the_window(chromium: str, width: int):
+    """Focus stays where it was when the rows are renewed; nothing is wider than the window."""
+    shown_page = pytest.importorskip("tests.shown_page", reason="the extra 'viewer' is not installed")
+    heard = Heard(wearers={"ward": "<b>Anna</b>"})
+    heard.online("lab")
+    heard.online("ward")
+    heard.say("ward/bridge/state", b'{"state":"offline"}')
+    server = OverviewServer(lambda: as_plain(heard.fleet.rows(heard.now_s)), Bodies(MqttSettings()))
+    async with server, shown_page.browser_of(chromium) as browser:
+        page = await shown_page.new_page(browser, (width, 800))
+        await page.goto(f"http://127.0.0.1:{server.port}")
+        await page.get_by_text("2 gateways, 1 online, 2 with alerts").wait_for()
+        await page.get_by_text("<b>Anna</b>").wait_for()
+        await page.get_by_role("link", name="ward").focus()
+        heard.online("aisle")
+        heard.say("lab/bridge/state", b"")
+        await page.get_by_text("2 gateways, 1 online, 2 with alerts").wait_for()
+        await page.get_by_role("link", name="aisle").wait_for()
+        assert await page.get_by_role("link").all_text_contents() == ["aisle", "ward"]
+        assert await page.evaluate("document.activeElement.textContent") == "ward"
+        assert await page.evaluate("document.documentElement.scrollWidth") == width

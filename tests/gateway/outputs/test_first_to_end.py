@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 
 import pytest
 
@@ -51,3 +52,21 @@ async def test_cancelling_ends_all_parts():
     with pytest.raises(asyncio.CancelledError):
         await running
     assert all(part.was_cancelled for part in parts)
+
+
+async def test_a_part_that_loses_its_cancellation_is_ended_all_the_same():
+    """In Python 3.11 one that comes together with an answer is lost: who reconnects for ever went on, and the
+    loss of a node was never told."""
+    begun = 0
+
+    async def reconnecting() -> None:
+        nonlocal begun
+        while True:
+            begun += 1
+            with contextlib.suppress(asyncio.CancelledError if begun == 1 else TimeoutError):
+                await asyncio.sleep(2 * PATIENCE_S)
+
+    failing = Part(0.01, ConnectionError("lost"))
+    with pytest.raises(ConnectionError, match="lost"):
+        await asyncio.wait_for(first_to_end(reconnecting(), failing.run()), PATIENCE_S)
+    assert begun == 2
