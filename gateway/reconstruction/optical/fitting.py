@@ -279,7 +279,7 @@ def _found_in_motion(
         return _Found(free, is_functional=True)
     names = marker_set.body.segment_names
     regressed = tuple(names[s] for s in strained if _is_regressed(marker_set, names[s]))
-    return _Found(done, is_functional=False, strained=regressed, rmse_free=free.rmse)
+    return _Found(done, False, regressed, free.rmse if regressed else np.nan)
 
 
 def _is_regressed(marker_set: MarkerSet, name: str) -> bool:
