@@ -518,6 +518,16 @@ class Service:
                     ", ".join(new),
                 )
 
+    def _packets_report(self) -> str:
+        """Return how many modules are heard, and their packets; nothing for a rig without modules."""
+        if not self._strangers.names:
+            return ""
+        modules = self.pipeline.modules.records.values()
+        return (
+            f" from {self._strangers.known} of the rig's {len(self._strangers.names)} modules; packets "
+            f"received {sum(each.received for each in modules)}, lost {sum(each.lost for each in modules)}"
+        )
+
     async def _report(self) -> None:
         """Log every ``REPORT_INTERVAL_S`` seconds how many poses and packets came and were lost."""
         frames_before = 0
@@ -525,16 +535,11 @@ class Service:
         while True:
             await asyncio.sleep(REPORT_INTERVAL_S)
             self._warn_of_strangers(strangers)
-            modules = self.pipeline.modules.records.values()
             frames = self.pipeline.skeleton_frames
             log.info(
-                "%.1f poses/s from %d of the rig's %d modules; packets received %d, lost %d; %s; "
-                "poses dropped %d",
+                "%.1f poses/s%s; %s; poses dropped %d",
                 (frames - frames_before) / REPORT_INTERVAL_S,
-                self._strangers.known,
-                len(self._strangers.names),
-                sum(record.received for record in modules),
-                sum(record.lost for record in modules),
+                self._packets_report(),
                 "broker connected" if self.mqtt.is_connected else "NO BROKER",
                 self.mqtt.counters.dropped,
             )
