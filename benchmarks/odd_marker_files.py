@@ -169,6 +169,17 @@ def with_long_gaps(trial: MarkerTrial) -> MarkerTrial:
     return replace(trial, positions=places)
 
 
+def with_pelvis_clusters(trial: MarkerTrial) -> MarkerTrial:
+    """LASIA and LASIB, 3 cm beside where LASI would be, and so for each marker of the pelvis."""
+    names = ("LASI", "RASI", "LPSI", "RPSI")
+    bare = without(*names)(trial)
+    own = trial.columns(names)
+    beside = np.array([0.0, 0.0, 0.03])
+    both = np.concatenate([own + beside, own - beside], axis=1)
+    labels = (*bare.labels, *(f"{name}{letter}" for letter in "AB" for name in names))
+    return replace(trial, labels=labels, positions=np.concatenate([bare.positions, both], axis=1))
+
+
 def cells(change: Callable[[str], str]) -> Edit:
     """Return what rewrites every coordinate."""
     return lambda lines: [
@@ -254,7 +265,30 @@ CASES: dict[str, tuple[Change, Edit]] = {
     ),
     "wrong unit": (same, head_changed("mm", "m")),
     "blanks in the place of tabs": (same, lambda lines: [line.replace("\t", " ") for line in lines]),
+    "an empty walk": (same, lambda _: []),
+    "a head without frames": (same, lambda lines: lines[:5]),
+    "one frame": (same, lambda lines: lines[:6]),
+    "one marker": (without(*(label for label in LABELS if label != "LASI")), list),
+    "numbers that are too large": (same, cells(lambda field: field and f"{field.partition('.')[0]}e9")),
+    "inf where not seen": (noisy, cells(lambda field: field or "inf")),
+    "Cyrillic names": (called(lambda label: f"метка {LABELS.index(label)}"), list),
+    "a byte order mark": (same, lambda lines: ["\ufeff" + lines[0], *lines[1:]]),
+    "UTF-16": (same, list),
+    "commas in the place of tabs": (same, lambda lines: [line.replace("\t", ",") for line in lines]),
+    "a web page": (same, lambda _: ["<!DOCTYPE html>", "<html><body>Sign in to go on</body></html>"]),
+    "frames from last to first": (same, lambda lines: [*lines[:5], *lines[:4:-1]]),
+    "two trials in one file": (same, lambda lines: [*lines, *lines]),
+    "an old Mac's line ends": (same, lambda lines: ["\r".join(lines)]),
+    "the static trial with y up": (turned, list),
+    "letters behind the pelvis' names": (
+        called(lambda label: f"{label}A" if label[1:] in ("ASI", "PSI") else label),
+        list,
+    ),
+    "two clusters on the pelvis, no landmarks": (with_pelvis_clusters, list),
 }
+ONLY_STATIC = {"the static trial with y up"}
+"""Of these the walk stays as it is."""
+ENCODINGS = {"UTF-16": "utf-16"}
 
 
 def trc_lines(trial: MarkerTrial, name: str) -> list[str]:
@@ -278,8 +312,10 @@ def write_case(folder: Path, case: str, trials: Sequence[MarkerTrial]) -> list[P
     change, edit = CASES[case]
     stem = re.sub(r"\W+", "_", case)
     paths = [folder / f"{stem}_{kind}.trc" for kind in ("static", "walk")]
-    for path, trial, faults in zip(paths, trials, (list, edit), strict=True):
-        path.write_text("\n".join(faults(trc_lines(change(trial), path.name))) + "\n", encoding="utf-8")
+    changes = (change, same) if case in ONLY_STATIC else (change, change)
+    for path, trial, own, faults in zip(paths, trials, changes, (list, edit), strict=True):
+        text = "\n".join(faults(trc_lines(own(trial), path.name))) + "\n"
+        path.write_text(text, encoding=ENCODINGS.get(case, "utf-8"))
     return paths
 
 

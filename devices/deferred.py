@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from scipy.ndimage import gaussian_filter1d
     from scipy.optimize import least_squares, minimize, nnls
     from scipy.signal import butter, correlate, lfilter, sosfilt, sosfilt_zi, sosfiltfilt
-    from scipy.spatial.transform import Rotation, Slerp
+    from scipy.spatial.transform import Rotation, RotationSpline, Slerp
     from scipy.special import expit
     from scipy.stats import theilslopes
     from vqf import VQF, offlineVQF
@@ -42,6 +42,7 @@ else:
     BPoly = Deferred("scipy.interpolate", "BPoly")
     CubicSpline = Deferred("scipy.interpolate", "CubicSpline")
     Rotation = Deferred("scipy.spatial.transform", "Rotation")
+    RotationSpline = Deferred("scipy.spatial.transform", "RotationSpline")
     Slerp = Deferred("scipy.spatial.transform", "Slerp")
     butter = Deferred("scipy.signal", "butter")
     correlate = Deferred("scipy.signal", "correlate")
@@ -66,6 +67,7 @@ __all__ = [
     "CubicSpline",
     "Deferred",
     "Rotation",
+    "RotationSpline",
     "Slerp",
     "butter",
     "correlate",

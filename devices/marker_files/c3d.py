@@ -118,9 +118,14 @@ def open_c3d(path: Path) -> C3DFile:
     except OSError as error:
         raise FormatError(f"{path} cannot be read: {error.strerror}") from error
     if len(content) < BLOCK:
-        raise FormatError(f"{path}: {len(content)} bytes, which is less than the header of a C3D file (512)")
+        raise FormatError(
+            f"{path}: {len(content)} bytes, which is less than the header of a C3D file (512): "
+            "copy or export it again"
+        )
     if content[1] != MAGIC:
-        raise FormatError(f"{path}: not a C3D file: byte 1 is {content[1]:#04x} and not 0x50")
+        raise FormatError(
+            f"{path}: not a C3D file: byte 1 is {content[1]:#04x} and not 0x50: export the trial again"
+        )
     processor, parameters = read_parameters(content, content[0], str(path))
     return C3DFile(path, content, processor, parameters, _layout(content, processor, parameters, path))
 

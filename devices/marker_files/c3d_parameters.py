@@ -72,20 +72,26 @@ def read_parameters(content: bytes, block: int, where: str) -> tuple[int, dict[s
     """
     start = (block - 1) * BLOCK
     if len(content) < start + BLOCK:
-        raise FormatError(f"{where}: cut off: its parameters begin at byte {start}, it has {len(content)}")
+        raise FormatError(
+            f"{where}: cut off: its parameters begin at byte {start}, it has {len(content)}: copy it again"
+        )
     processor = content[start + 3]
     if processor not in (INTEL, DEC, MIPS):
         raise FormatError(
             f"{where}: processor type {processor} at byte {start + 3}, where C3D has 84 (Intel), 85 (DEC) or "
-            "86 (MIPS): not a C3D file, or damaged"
+            "86 (MIPS): not a C3D file, or damaged: export the trial again"
         )
     end = start + content[start + 2] * BLOCK
     if len(content) < end:
-        raise FormatError(f"{where}: cut off: its parameters end at byte {end}, it has {len(content)}")
+        raise FormatError(
+            f"{where}: cut off: its parameters end at byte {end}, it has {len(content)}: copy it again"
+        )
     try:
         return processor, _parameters(content[:end], start + 4, processor)
     except (IndexError, ValueError) as error:
-        raise FormatError(f"{where}: the parameters before byte {end} are damaged ({error})") from error
+        raise FormatError(
+            f"{where}: the parameters before byte {end} are damaged ({error}): export the trial again"
+        ) from error
 
 
 def _parameters(content: bytes, at: int, processor: int) -> dict[str, Parameter]:

@@ -38,11 +38,15 @@ def read_trc(path: Path) -> MarkerTrial:
             f"{path}: line 4: no tab between the markers' names: TRC columns are parted by tabs"
         )
     head = _head(lines, path)
+    again = next((n for n, line in enumerate(lines[1:], 1) if line.startswith(FIRST_WORD)), len(lines))
+    further = [f"{path}: from line {again + 1} on another trial: left out"] if again < len(lines) else []
+    lines = lines[:again]
     begin = (
         _HEAD_LINES - 1 if lines[_HEAD_LINES - 1][:1].isdigit() else _HEAD_LINES
     )  # some leave out X1, Y1, …
     labels = without_prefixes([name for name in (x.strip() for x in lines[3].split("\t")[_LEADING:]) if name])
     rows, notes = _rows(lines, begin, 3 * len(labels), path)
+    notes += further
     expected = int(_positive(head, "NumFrames", path))
     if len(rows) != expected:
         notes.append(f"{path}: {len(rows)} frames, of which its header tells {expected}: all that are there")

@@ -108,7 +108,7 @@ def read_lines(path: Path) -> list[str]:
     except OSError as error:
         raise FormatError(f"{path} cannot be read: {error.strerror}") from error
     if not data.strip():
-        raise FormatError(f"{path} is empty")
+        raise FormatError(f"{path} is empty: export or copy it again")
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):  # as some spreadsheets write text
         return data.decode("utf-16", errors="replace").splitlines()
     zero = data.find(0)

@@ -21,7 +21,7 @@ HEIGHT = 560
 WIDTH = 760
 _PANE = WIDTH // 2
 _BACKGROUND, _FLOOR, _BONE, _TEXT = (255, 255, 255), (170, 170, 170), (120, 110, 105), (60, 50, 40)
-_FORCE, _MASS = (60, 150, 60), (200, 110, 30)
+_FORCE, _ESTIMATED, _MASS = (60, 150, 60), (105, 180, 105), (200, 110, 30)
 _SIDES = {"left": (150, 60, 160), "right": (150, 120, 0)}
 """Blue, green, red of bones of one side."""
 _STOPS = np.array([[205, 185, 165], [60, 190, 245], [40, 40, 215]], dtype=np.float64)
@@ -87,7 +87,21 @@ def draw(found: Analysis, muscles: MuscleResult | None, frame: int, scene: Scene
         _write(picture, f"{name} stands on an unknown force", (10, 44 + 18 * k), 0.42)
     if muscles is not None:
         _scale(cv2, picture)
+    _legend(picture, found)
     return picture
+
+
+def _legend(picture: Picture, found: Analysis) -> None:
+    """What arrows and the dot are, at the bottom."""
+    whose = "" if found.is_whole else " of the part that is there"
+    words = [(f"dot: centre of mass{whose}", _MASS)]
+    for source, colour in ((Source.ESTIMATED, _ESTIMATED), (Source.MEASURED, _FORCE)):
+        if (found.floor.source == source).any():
+            words.insert(0, (f"floor's force, {source.name.lower()}", colour))
+    x = 10
+    for text, colour in words:
+        _write(picture, text, (x, HEIGHT - 9), 0.4, colour)
+        x += 20 + 7 * len(text)
 
 
 def _side_text(side: str, time_s: float, scene: Scene) -> str:
@@ -172,8 +186,10 @@ def _forces(view: _View, found: Analysis, frame: int) -> None:
     for c, at in enumerate(pressure):
         if np.isfinite(at).all():
             arrow = found.floor.force[frame, c] * _ARROW_M_PER_WEIGHT / found.weight_n
-            view.line(np.stack([at, at + arrow]), _FORCE, 2)
-            view.circle(at, 0.012, _FORCE, -1)
+            is_measured = found.floor.source[frame, c] == Source.MEASURED
+            colour = _FORCE if is_measured else _ESTIMATED
+            view.line(np.stack([at, at + arrow]), colour, 2)
+            view.circle(at, 0.012, colour, -1)
     view.circle(found.dynamics.centre_of_mass[frame], 0.022, _MASS, -1)
 
 

@@ -7,7 +7,7 @@ import json
 import math
 import signal
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,6 +42,8 @@ MOST_REST_MM = 20.0
 """RMS: skin leaves 3 to 10."""
 LEAST_USED = 0.5
 """Of the points seen, that had a say in a pose."""
+LEAST_UPRIGHT = 0.9
+"""Cosine between a body and an axis along which it stands, or lies."""
 MOST_UNEVEN = 1.15
 """Longer over shorter, of the two segments of one name: beyond it a marker may sit elsewhere."""
 
@@ -231,6 +233,7 @@ def _fit_outcome(found: Fit, files: list[Path], target: Path) -> dict[str, objec
         "angles_deg": {name: round(math.degrees(a), 2) for name, a in found.angles.items() if a},
         "left_out": list(found.left_out),
         "functional": found.is_functional,
+        "strained": list(found.strained),
         "ghosts": dict(found.ghosts),
         "backwards": list(found.backwards),
         "too_few": {name: list(labels) for name, labels in found.too_few.items()},
@@ -282,6 +285,11 @@ def fit_doubts(found: Fit) -> list[str]:
         "person, or another unit than the file tells"
         for trial, ratio in found.other_sizes.items()
     ]
+    doubts += [
+        f"{trial}: the body stands along {axis} there, along {found.markers.vertical} in the first trial: "
+        f"taken so; solve trials like it with --up {axis}"
+        for trial, axis in found.other_axes.items()
+    ]
     if 1e3 * found.rmse > MOST_REST_MM:
         worst = np.argsort(found.markers.sigmas)[::-1][:4].tolist()
         doubts.append(
@@ -312,6 +320,15 @@ def _print_fit(found: Fit, outcome: dict[str, object], *, functional: bool) -> N
         typer.echo(
             "note: joint centres are where the motion has them, as with --functional: markers are met far "
             "better so than where rules have them (--rules-only keeps to those)",
+            err=True,
+        )
+    if found.strained:
+        away = ", ".join(f"{name} {moved[name]:.0f} mm" for name in found.strained)
+        typer.echo(
+            f"note: the motion would have hips farther from their regression ({away}; regressions are off by "
+            "15 to 25 mm): --functional lets it decide and meets markers within "
+            f"{1e3 * found.rmse_free:.1f} mm; better with trials that move hips in all directions, not "
+            "with a plain walk",
             err=True,
         )
     for note in fit_doubts(found):
@@ -358,6 +375,9 @@ def solve(
     subject: Subject,
     person: Person = None,
     method: Method = "default",
+    up: Annotated[
+        str | None, typer.Option(help="Axis of the file that points up, where it is not that of the subject.")
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="The recording; default: after trial and method, .mcap."),
@@ -376,13 +396,15 @@ def solve(
     from devices.marker_files import read_markers
 
     write = _writer_of(method)
-    suit = _subject(subject)
+    suit = _subject(subject, up)
     check_formats(to or [])
     suffix = "" if method == "default" else f"_{method}"
     target = output or file.with_name(f"{file.stem}{suffix}.mcap")
     refuse_existing(target, force)
     trial = read_markers(file)
     _print_notes([trial])
+    if up is None:
+        _note_lying(trial, suit, person)
     target.unlink(missing_ok=True)
     if method == "default":
         make_ready(OPTICAL)
@@ -483,13 +505,39 @@ def _writer_of(method: str) -> Callable[..., SolvedTrial]:
     return WRITERS[method]
 
 
-def _subject(name: str) -> WornSuit:
+def _subject(name: str, up: str | None = None) -> WornSuit:
     from gateway.body.rig import load_rig
 
     suit = load_rig(name)
     if suit.markers is None:
         raise GatewayError(f"{name} is a rig without markers: --subject wants a file of `optical fit`")
-    return suit
+    axis = _axis(up)
+    return suit if axis is None else replace(suit, markers=replace(suit.markers, vertical=axis))
+
+
+def _note_lying(trial: MarkerTrial, suit: WornSuit, person: str | None) -> None:
+    """Print a note where the body lies along a horizontal axis of the file throughout."""
+    from devices.marker_files.naming import spelt
+    from gateway.geometry import quaternion
+    from gateway.reconstruction.optical.landmarks import AXES_UP, to_world
+    from gateway.reconstruction.optical.pose_solver import body_model
+    from gateway.reconstruction.optical.tracking import stands_along
+
+    markers = suit.markers
+    assert markers is not None  # _subject sees to it
+    places = spelt(trial, markers.labels, person=person).columns(markers.labels)
+    model, neutral = body_model(suit.skeleton, markers), quaternion.to_matrix(suit.skeleton.neutral)
+    along = stands_along(model, to_world(places, markers.vertical), neutral)
+    if along is None or not np.linalg.norm(along) > LEAST_UPRIGHT:
+        return
+    unit = {axis: np.eye(3)["xyz".index(axis[-1])] * (-1.0 if "-" in axis else 1.0) for axis in AXES_UP}
+    axis = max(AXES_UP, key=lambda each: float(to_world(unit[each], markers.vertical) @ along))
+    if axis != markers.vertical and to_world(unit[axis], markers.vertical) @ along > LEAST_UPRIGHT:
+        typer.echo(
+            f"note: {trial.name}: the body lies along {axis} of the file, {markers.vertical} points up in "
+            f"the subject's trials: if {axis} points up here, solve it with --up {axis}",
+            err=True,
+        )
 
 
 def _refuse_open_names(trial: MarkerTrial, suit: WornSuit, person: str | None) -> None:

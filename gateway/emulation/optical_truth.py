@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.deferred import Rotation, RotationSpline
 from devices.marker_files import MarkerTrial
 from gateway.body.anthropometry import Subject, scaled
 from gateway.body.joint_angles import JointAngles, posture
 from gateway.body.kinematics import joint_positions
 from gateway.body.skeleton import Skeleton
-from gateway.frames import FloatArray, MarkerFrame
+from gateway.frames import FloatArray, IntArray, MarkerFrame
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
@@ -110,16 +111,17 @@ def simulated(
     generator: np.random.Generator,
     *,
     faults: bool,
+    gaps: float = GAPS,
 ) -> SimulatedTrial:
-    """Return a second of neutral standing, then every joint's free angles in motion; with gaps and swaps if
-    wanted."""
+    """Return a second of neutral standing, then every joint's free angles in motion; with gaps (a share of
+    all points) and swaps if wanted."""
     q_wb, p_w = _motion(body, seconds, generator)
     R = np.array([[quaternion.to_matrix(q) for q in pose] for pose in q_wb])
     markers = p_w[:, segments] + np.einsum("fmij,mj->fmi", R[:, segments], places)
     markers = markers + generator.normal(0.0, NOISE, markers.shape)
     swaps = _swap(markers, marker_set.labels, generator) if faults else []
     if faults:
-        _cut_gaps(markers, generator)
+        cut_gaps(markers, gaps, RATE_HZ, generator, first=150)
     trial = MarkerTrial("simulated", marker_set.labels, RATE_HZ, markers)
     return SimulatedTrial(trial, q_wb, p_w, swaps)
 
@@ -182,15 +184,18 @@ def _swap(
     return swaps
 
 
-def _cut_gaps(markers: FloatArray, generator: np.random.Generator) -> None:
-    """Take out a tenth of all points, in gaps of 0.05 to 0.5 s; changes ``markers``."""
+def cut_gaps(
+    markers: FloatArray, share: float, rate_hz: float, generator: np.random.Generator, first: int = 0
+) -> None:
+    """Take out a share of the points of every marker, in gaps of 0.05 to 0.5 s from a frame on; changes
+    ``markers``."""
     n_frames, n_markers, _ = markers.shape
-    wanted = GAPS * n_frames
+    shortest, longest = round(0.05 * rate_hz), round(0.5 * rate_hz)
     for m in range(n_markers):
         missing = 0
-        while missing < wanted:
-            length = int(generator.integers(5, 50))
-            begin = int(generator.integers(150, n_frames - length))
+        while missing < share * n_frames:
+            length = int(generator.integers(shortest, longest))
+            begin = int(generator.integers(first, n_frames - length))
             markers[begin : begin + length, m] = np.nan
             missing = int(np.isnan(markers[:, m, 0]).sum())
 
@@ -210,6 +215,9 @@ class SimulatedErrors(NamedTuple):
     """By joint (F, angles) degrees, a whole trial; NaN where the true joint is near a singularity."""
     live: list[FloatArray]
     """The same, frame by frame, without knowing what comes after a gap."""
+    foreseen: list[FloatArray]
+    """The same of the truth itself, as its own spline through the instants at which each segment shows how it
+    lies: what cannot be bettered without what is seen of its neighbours."""
     shown: NDArray[np.bool_]  # (F, S)
     """Whether all markers of a segment are seen."""
     swaps_found: float
@@ -223,20 +231,28 @@ class SimulatedErrors(NamedTuple):
         return [e[self.shown[:, j.distal]] for j, e in zip(self.body.joints, self.live, strict=True)]
 
 
-def solved_simulation(seconds: float = SECONDS, seed: int = SEED) -> SimulatedErrors:
-    """Fit a body to one half of a simulated capture, and solve the other, which has all faults."""
+def solved_simulation(seconds: float = SECONDS, seed: int = SEED, gaps: float = GAPS) -> SimulatedErrors:
+    """Fit a body to one half of a simulated capture, and solve the other, which has all faults.
+
+    gaps: share of all points.
+    """
     whole = load_marker_set("plug_in_gait")
     marker_set = worn_part(whole, simulated_labels(whole))
     generator = np.random.default_rng(seed)
     body = scaled(marker_set.body, Subject(height_m=1.68))
     places, segments = placed_markers(marker_set, body, generator)
     calibration = simulated(marker_set, body, places, segments, seconds, generator, faults=False)
-    test = simulated(marker_set, body, places, segments, seconds, generator, faults=True)
+    test = simulated(marker_set, body, places, segments, seconds, generator, faults=True, gaps=gaps)
     options = FitOptions(vertical="z", neutral=STANDING, centres="motion")
     fitted = fit_body(marker_set, [calibration.trial], options)
     q_wb, found = _solved(fitted, test)
-    live, offline = (_angle_errors(body, each, test.q_wb) for each in (q_wb, _bridged(fitted, test)))
-    return SimulatedErrors(body, offline, live, _shown(fitted, test), found, _length_spread(fitted, q_wb))
+    seen = np.isfinite(test.trial.columns(fitted.markers.labels)[:, :, 0])
+    splined = foreseen(body.parents, fitted.markers.segments, seen, test.trial.rate_hz, test.q_wb)
+    live, offline, known = (
+        _angle_errors(body, each, test.q_wb) for each in (q_wb, _bridged(fitted, test), splined)
+    )
+    shown = _shown(fitted, test)
+    return SimulatedErrors(body, offline, live, known, shown, found, _length_spread(fitted, q_wb))
 
 
 def _bridged(fitted: Fit, test: SimulatedTrial) -> FloatArray:
@@ -245,6 +261,29 @@ def _bridged(fitted: Fit, test: SimulatedTrial) -> FloatArray:
     frames = [MarkerFrame(f, round(f * 1e9 / test.trial.rate_hz), seen) for f, seen in enumerate(observed)]
     solved, _ = solve_both_ways(fitted.skeleton, fitted.markers, frames)
     return np.array([each.q_wb for each in solved])
+
+
+def foreseen(
+    parents: IntArray, segments: IntArray, seen: NDArray[np.bool_], rate_hz: float, q_wb: FloatArray
+) -> FloatArray:
+    """Return a motion (F, S, 4) as it may be known of each segment by itself: every joint turned as it is
+    where two of the markers beyond it are seen, or its only one, and by a cubic spline of rotations between.
+
+    parents: (S,); segments: (M,), which carry the markers; seen: (F, M).
+    """
+    times = np.arange(len(seen)) / rate_hz
+    found = np.empty_like(q_wb)
+    for s, parent in enumerate(parents.tolist()):
+        own = seen[:, segments == s]
+        shows = np.flatnonzero(own.sum(axis=1) >= min(2, own.shape[1]))
+        true = Rotation.from_quat(q_wb[:, s], scalar_first=True)
+        if parent >= 0:
+            true = Rotation.from_quat(q_wb[:, parent], scalar_first=True).inv() * true
+        turn = RotationSpline(times[shows], true[shows])(times.clip(times[shows[0]], times[shows[-1]]))
+        if parent >= 0:
+            turn = Rotation.from_quat(found[:, parent], scalar_first=True) * turn
+        found[:, s] = turn.as_quat(scalar_first=True)
+    return found
 
 
 def _shown(fitted: Fit, test: SimulatedTrial) -> NDArray[np.bool_]:

@@ -130,7 +130,7 @@ def detected(paths: Sequence[Path], options: ReadOptions) -> str:
     except OSError as error:
         raise FormatError(f"{path} cannot be read: {error.strerror}") from error
     if not head.strip():
-        raise FormatError(f"{path} is empty")
+        raise FormatError(f"{path} is empty: export or copy it again")
     for name, marks in _MARKS.items():
         if any(mark in head for mark in marks):
             return name

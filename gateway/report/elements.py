@@ -26,6 +26,8 @@ text-align:right}th{color:#5b6b7b;font-weight:600}td.t,th.t{text-align:left}
 .warn{background:#fff3cd;border-left:4px solid #e0a800;padding:.5em .9em;margin:.8em 0}
 img{width:100%;height:auto}pre{background:#f6f8fa;padding:.8em;font-size:11px;white-space:pre-wrap}
 td.bad{color:#b02a37;font-weight:600}figure{margin:.5em 0;break-inside:avoid}
+figure,.wide{overflow-x:auto}video{max-width:100%}
+@media screen and (max-width:700px){body{margin:1em auto;padding:0 .8em}img{min-width:680px}}
 @media print{body{margin:0;max-width:none;font-size:11px}h2{break-after:avoid}tr,.tile{break-inside:avoid}
 @page{margin:14mm}}
 """
@@ -34,7 +36,9 @@ td.bad{color:#b02a37;font-weight:600}figure{margin:.5em 0;break-inside:avoid}
 def document(title: str, body: str) -> str:
     """Return the whole page. body: HTML."""
     return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>{html.escape(title)}</title>"
         f"<style>{_STYLE}</style></head><body>\n{body}\n</body></html>\n"
     )
 
@@ -53,9 +57,9 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], n_texts: int = 1)
     head = "".join(
         f'<th class="{"t" if i < n_texts else ""}">{html.escape(text)}</th>' for i, text in enumerate(heads)
     )
-    return f"<table><thead><tr>{head}</tr></thead>" + "".join(
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead>' + "".join(
         "<tr>" + "".join(_cell(text, i < n_texts) for i, text in enumerate(row)) + "</tr>" for row in rows
-    ) + "</table>"  # fmt: skip
+    ) + "</table></div>"  # fmt: skip
 
 
 def _cell(text: str, is_text: bool) -> str:

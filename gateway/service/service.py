@@ -523,6 +523,16 @@ class Service:
                     ", ".join(new),
                 )
 
+    def _packets_report(self) -> str:
+        """Return how many modules are heard, and their packets; nothing for a rig without modules."""
+        if not self._unknown_modules.names:
+            return ""
+        modules = self.pipeline.modules.records.values()
+        return (
+            f" from {self._unknown_modules.known} of the rig's {len(self._unknown_modules.names)} modules; "
+            f"packets received {sum(each.received for each in modules)}, lost {sum(each.lost for each in modules)}"
+        )
+
     async def _report(self) -> None:
         """Log every ``REPORT_INTERVAL_S`` seconds how many poses and packets came and were lost."""
         frames_before = 0
@@ -530,16 +540,11 @@ class Service:
         while True:
             await asyncio.sleep(REPORT_INTERVAL_S)
             self._warn_of_unknown_modules(unknown)
-            modules = self.pipeline.modules.records.values()
             frames = self.pipeline.skeleton_frames
             log.info(
-                "%.1f poses/s from %d of the rig's %d modules; packets received %d, lost %d; %s; "
-                "poses dropped %d",
+                "%.1f poses/s%s; %s; poses dropped %d",
                 (frames - frames_before) / REPORT_INTERVAL_S,
-                self._unknown_modules.known,
-                len(self._unknown_modules.names),
-                sum(record.received for record in modules),
-                sum(record.lost for record in modules),
+                self._packets_report(),
                 "broker connected" if self.mqtt.is_connected else "NO BROKER",
                 self.mqtt.counters.dropped,
             )

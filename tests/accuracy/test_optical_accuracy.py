@@ -37,6 +37,13 @@ def test_known_truth_is_met_by_all_joints_with_gaps_swaps_and_misplaced_markers(
         assert rms_of(errors.live) < 1.4
 
 
+@WHOLE
+def test_two_fifths_of_all_points_missing_leave_less_than_the_truths_own_spline():
+    errors = solved_simulation(gaps=0.4)
+    assert rms_of(errors.offline) < 4.0
+    assert rms_of(errors.offline) < rms_of(errors.foreseen)
+
+
 @pytest.mark.skipif(not (DATA / "c3d_btk_pig").is_dir(), reason="recordings are not here")
 def test_held_out_frames_are_met_and_centres_are_near_those_of_plug_in_gait():
     set_name, static, motion = TRIALS["btk"]

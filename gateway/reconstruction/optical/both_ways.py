@@ -1,8 +1,8 @@
 """A whole trial of a fitted subject, with gaps bridged from both sides. Offline: it wants all frames.
 
-The streaming method goes first. What it cannot know is how joints turned while too few markers were seen: it
-holds them, and they jump when the markers come back. So every joint's rotation is smoothed over the trial by
-what the markers showed of it, and every frame solved once more with its joints drawn to that.
+The streaming method goes first. What it cannot know is how joints turned while too few markers were seen,
+and where markers are right after it. So all poses are found once more, together; names are questioned by what
+came of it, and the poses found again with those.
 """
 
 from __future__ import annotations
@@ -14,26 +14,22 @@ import numpy as np
 
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
-from gateway.frames import IntArray, MarkerFrame, SkeletonFrame
-from gateway.reconstruction.optical.joint_smoothing import (
-    Seen,
-    SeenPlace,
-    from_turns,
-    information,
-    joint_turns,
-    markers_covariance,
-    smoothed_places,
-    smoothed_turns,
-)
-from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Held, Pose
-from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
+from gateway.frames import FloatArray, MarkerFrame, SkeletonFrame
+from gateway.reconstruction.optical.pose_solver import Held, Pose
+from gateway.reconstruction.optical.reconstructor import Named, OpticalReconstructor
+from gateway.reconstruction.optical.tracking import NEAR
+from gateway.reconstruction.optical.whole_motion import bridged, found_together
 
 Progress = Callable[[int, int], None]
 
 BRIDGED_SIGMA = np.radians(5.0)
-"""How far a joint, or the root, may be from where it was smoothed to before that counts, rad."""
+"""How sure a joint, or the root, is that no marker shows, rad."""
 BRIDGED_PLACE_SIGMA = 0.03
 """The same of the root's place, m."""
+_WIDE = 0.1
+"""Distance at which a marker begins to lose its say while the motion is sought, m."""
+_SHORTEST_S = 1e-4
+"""Of the times between frames: two of one instant are that far apart."""
 
 
 def solve_both_ways(
@@ -47,38 +43,35 @@ def solve_both_ways(
     seen."""
     forward = OpticalReconstructor(skeleton, markers)
     poses: list[Pose | None] = []
+    named: list[Named] = []
     solved: list[SkeletonFrame] = []
     for index, observation in enumerate(frames):
         solved.append(forward.update(observation))
-        poses.append(None if forward.last is None else forward.pose)
+        fit = forward.last
+        poses.append(None if fit is None else forward.pose)
+        named.append((observation.positions, ()) if fit is None else (fit.positions, fit.renamed))
         if progress is not None:
-            progress(index, 2 * len(frames))
+            progress(index, 3 * len(frames))
     known = [f for f, pose in enumerate(poses) if pose is not None]
     if not known:
         return solved, forward.counts
-    parents = forward.model.parents
-    first, last = known[0], known[-1] + 1
-    times = np.array([each.time_ns for each in frames[first:last]]) * 1e-9
-    times -= times[0]
-    seen = [_seen(parents, pose) for pose in poses[first:last]]
-    turns = smoothed_turns(times, [each and each[0] for each in seen])
-    places = smoothed_places(times, [each and each[1] for each in seen])
+    span = slice(known[0], known[-1] + 1)
+    steps = np.diff([each.time_ns for each in frames[span]]) * 1e-9
+    times_s = np.concatenate([[0.0], np.cumsum(np.maximum(steps, _SHORTEST_S))])
+    model, within = forward.model, frames[span]
+
+    def found(
+        begun: tuple[FloatArray, FloatArray], named: Sequence[Named], scales: tuple[float, ...], before: int
+    ) -> tuple[FloatArray, FloatArray]:
+        done = None if progress is None else lambda count: progress(before + count, 3 * len(frames))
+        seen = np.array([positions for positions, _ in named])
+        return found_together(model, times_s, seen, begun, scales, done)
+
+    motion = found(bridged(model.parents, times_s, poses[span]), named[span], (_WIDE, NEAR), len(frames))
     again = OpticalReconstructor(skeleton, markers)
-    for f, turn, place in zip(range(first, last), turns, places, strict=True):
-        pose = poses[f]
-        held = Held(
-            from_turns(parents, turn), BRIDGED_SIGMA**-2, place, BRIDGED_SIGMA**-2, BRIDGED_PLACE_SIGMA**-2
-        )
-        root = place if pose is None else pose.root
-        solved[f] = again.solve_again(frames[f], solved[f].markers, held, root)
-        if progress is not None:
-            progress(len(frames) + f, 2 * len(frames))
+    questioned = [again.named(frame, *pose) for frame, *pose in zip(within, *motion, strict=True)]
+    motion = found(motion, questioned, (NEAR,), 2 * len(frames))
+    for f, R, root, names in zip(range(*span.indices(len(frames))), *motion, questioned, strict=True):
+        held = Held(R, BRIDGED_SIGMA**-2, root, BRIDGED_SIGMA**-2, BRIDGED_PLACE_SIGMA**-2)
+        solved[f] = again.explained(frames[f], names, held)
     return solved, forward.counts
-
-
-def _seen(parents: IntArray, pose: Pose | None) -> tuple[Seen, SeenPlace] | None:
-    if pose is None or not np.isfinite(pose.factor).all():
-        return None
-    covariance = markers_covariance(pose.factor, HELD_SIGMA**-2)
-    turns = Seen(joint_turns(parents, pose.R), information(parents, pose.R, covariance))
-    return turns, SeenPlace(pose.root, np.asarray(np.linalg.inv(covariance[:3, :3]), np.float64))

@@ -36,6 +36,7 @@ from gateway.reconstruction.optical.landmarks import (
     SegmentPlaces,
     landmarks_of,
     measurements,
+    standing_alike,
     to_world,
     vertical_axis,
 )
@@ -73,6 +74,7 @@ _FEWEST_SEGMENTS = 3
 _FAR_BETTER = 0.5
 """Of the rest with rules, below which the motion counts as showing all joints by itself: markers on skin
 leave more, whatever the joints."""
+_REGRESSIONS = {"davis_hip", "harrington_hip", "hara_hip"}
 _STILL = 0.05  # m, of a marker's standard deviation
 
 
@@ -118,10 +120,16 @@ class Fit:
     """Segments that carry too few for their axes, and those beyond them: with the markers that lack."""
     is_functional: bool = False
     """Whether joints are where the motion has them, whatever rules say."""
+    strained: tuple[str, ...] = ()
+    """Segments whose joints come from a regression, and went as far from it as it lets them."""
+    rmse_free: float = np.nan
+    """m: ``rmse``, had the motion decided alone; NaN where no joint strains."""
     ghosts: Mapping[str, int] = field(default_factory=dict)
     """Points far from all that sits beside their marker, by its name in the files: they had no say."""
     other_sizes: Mapping[str, float] = field(default_factory=dict)
     """Trials whose markers are farther apart or nearer than those of the first, and how many times."""
+    other_axes: Mapping[str, str] = field(default_factory=dict)
+    """Trials in which another axis points up than in the first, and which: they were turned."""
     backwards: tuple[str, ...] = ()
     """Joints that bend only to the side to which they cannot."""
 
@@ -150,7 +158,11 @@ def fit_body(
     dressed = dressed_in(marker_set, trials, options.person)
     marker_set, trials = dressed.marker_set, dressed.trials
     measured = measurements(marker_set, list(trials), options.lengths, options.angles)
-    vertical = options.vertical or vertical_axis(marker_set, trials[0])
+    other_axes: dict[str, str] = {}
+    vertical = options.vertical
+    if vertical is None:
+        vertical = vertical_axis(marker_set, trials[0])
+        trials, other_axes = standing_alike(marker_set, trials, vertical)
     marker_set, sightings, too_few = _enough_seen(marker_set, trials, vertical, measured)
     if options.neutral is not None:
         sightings = _stood_neutral(marker_set, sightings, trials[0], options.neutral)
@@ -163,9 +175,10 @@ def fit_body(
     bending = [] if options.neutral is not None else _bending(marker_set)
     begun = Adjusted(evidence.model, evidence.poses, weighted_rmse(evidence.poses), 0)
     done, tips = turned(begun, skeleton.tips, turns_to_bending(evidence.model, evidence.poses, bending))
-    moved, is_functional = np.zeros(skeleton.n_segments), False
+    moved, found = np.zeros(skeleton.n_segments), _Found(done, is_functional=False)
     if options.centres != "rules":
-        done, is_functional = _found_in_motion(marker_set, done, evidence.observed, options.centres, bending)
+        found = _found_in_motion(marker_set, done, evidence.observed, options.centres, bending)
+        done = found.done
         moved = np.linalg.norm(done.model.offsets - skeleton.offsets, axis=1)
         if options.neutral is None:
             done, tips = turned(done, tips, turns_to_rules(done.poses, evidence.axes))
@@ -192,9 +205,12 @@ def fit_body(
         moved=moved,
         left_out=dressed.left_out,
         too_few=too_few,
-        is_functional=is_functional,
+        is_functional=found.is_functional,
+        strained=found.strained,
+        rmse_free=found.rmse_free,
         ghosts=dressed.ghosts,
         other_sizes=other_sizes(marker_set, trials),
+        other_axes=other_axes,
         backwards=bent_backwards(marker_set.body, final, done.poses),
     )
 
@@ -234,17 +250,43 @@ def _moved_by_motion(
     return adjusted(known, observed, done.poses, trust, NEAR, bending)
 
 
+class _Found(NamedTuple):
+    """A body as motion and rules have it."""
+
+    done: Adjusted
+    is_functional: bool
+    """Whether rules were left aside: asked for, or since markers are met far better without."""
+    strained: tuple[str, ...] = ()
+    """Segments whose joints come from a regression, and went as far as it lets them."""
+    rmse_free: float = np.nan
+    """m, were they let go."""
+
+
 def _found_in_motion(
     marker_set: MarkerSet, begun: Adjusted, observed: FloatArray, centres: str, bending: Sequence[int]
-) -> tuple[Adjusted, bool]:
-    """Return the body as the motion and rules have it, and whether rules were left aside: asked for, or since
-    joints went as far as rules let them and markers are met far better without."""
+) -> _Found:
+    """Return the body as the motion has it, each joint as far from its rule as this lets it. Where some went
+    that far, and markers are met far better without rules, it goes without."""
     done = _moved_by_motion(marker_set, begun, observed, centres, bending)
+    if centres == "motion":
+        return _Found(done, is_functional=True)
     away = np.linalg.norm(done.model.offsets - begun.model.offsets, axis=1)
-    if centres == "motion" or not (away > _trust(marker_set, begun.model, centres)).any():
-        return done, centres == "motion"
+    strained = np.flatnonzero(away > _trust(marker_set, begun.model, centres)).tolist()
+    if not strained:
+        return _Found(done, is_functional=False)
     free = _moved_by_motion(marker_set, begun, observed, "motion", bending)
-    return (free, True) if free.rmse < _FAR_BETTER * done.rmse else (done, False)
+    if free.rmse < _FAR_BETTER * done.rmse:
+        return _Found(free, is_functional=True)
+    names = marker_set.body.segment_names
+    regressed = tuple(names[s] for s in strained if _is_regressed(marker_set, names[s]))
+    return _Found(done, False, regressed, free.rmse if regressed else np.nan)
+
+
+def _is_regressed(marker_set: MarkerSet, name: str) -> bool:
+    """Return whether a segment hangs in a joint that is placed by a regression on other bones' lengths."""
+    origin = marker_set.file.segments[name].origin
+    kinds = {rule.kind for rule in marker_set.rules(origin)} if origin in marker_set.file.points else set()
+    return bool(kinds & _REGRESSIONS)
 
 
 def _bending(marker_set: MarkerSet) -> list[int]:

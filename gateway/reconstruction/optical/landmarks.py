@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,6 +70,24 @@ def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
         )
     axis = int(np.argmax(np.abs(high - low)))
     return "xyz"[axis] if (high - low)[axis] > 0 else f"-{'xyz'[axis]}"
+
+
+def standing_alike(
+    marker_set: MarkerSet, trials: Sequence[MarkerTrial], vertical: str
+) -> tuple[list[MarkerTrial], dict[str, str]]:
+    """Return the trials with the body upright along ``vertical``, the axis of the first, and, of those that
+    had to be turned, the axis along which it stands in their files."""
+    turned, axes = list(trials[:1]), dict[str, str]()
+    for trial in trials[1:]:
+        try:
+            own = vertical_axis(marker_set, trial)
+        except GatewayError:  # too few markers to tell
+            own = vertical
+        if own != vertical:
+            axes[trial.name] = own
+            trial = replace(trial, positions=to_world(trial.positions, own) @ _UP[vertical])  # noqa: PLW2901
+        turned.append(trial)
+    return turned, axes
 
 
 def _middle(marker_set: MarkerSet, trial: MarkerTrial, labels: list[str]) -> FloatArray:

@@ -187,7 +187,7 @@ def normal_equations(
 
 
 @compiled
-def _robust_weights(model: BodyModel, seen: Seen, y: FloatArray) -> FloatArray:
+def marker_weights(model: BodyModel, seen: Seen, y: FloatArray) -> FloatArray:
     """Return Geman–McClure weights (1 + (r / c)²)⁻², times the trust given; 0 where a marker was not seen.
 
     c: the scale, and four times a marker's own σ at the least.
@@ -213,7 +213,7 @@ def solve_pose(
     observed = seen.observed
     p = kernels.places(model.parents, model.offsets, R, root)
     y = kernels.marker_places(model.segments, model.positions, R, p)
-    robust_weights = _robust_weights(model, seen, y)
+    robust_weights = marker_weights(model, seen, y)
     H, g, joints = normal_equations(model, observed, robust_weights, R, p)
     joints += add_held(H, g, model, R, root, held)
     damping = _FIRST_DAMPING
@@ -240,7 +240,7 @@ def solve_pose(
         R, root, p, joints = R_new, root_new, p_new, joints_new
         damping = max(_FIRST_DAMPING, 0.2 * damping)
         y = kernels.marker_places(model.segments, model.positions, R, p)
-        robust_weights = _robust_weights(model, seen, y)
+        robust_weights = marker_weights(model, seen, y)
         H, g, joints = normal_equations(model, observed, robust_weights, R, p)
         joints += add_held(H, g, model, R, root, held)
         if np.max(np.abs(delta)) < _SMALLEST_STEP or before - after < _SMALLEST_GAIN * before:

@@ -22,7 +22,7 @@ from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix as rm
 from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
-from gateway.reconstruction.optical.published_chains import Chain, Turned, chain_gradient, chains_of
+from gateway.reconstruction.optical.published_chains import Chain, chain_gradient, chains_of, turned
 
 GRADIENT = 0.05
 """Norm of the gradient at which a chain is solved, mm² per rad or mm."""
@@ -115,20 +115,10 @@ def _solve_chain(
     model: BodyModel, seen: FloatArray, R: FloatArray, root: FloatArray, chain: Chain
 ) -> tuple[FloatArray, FloatArray]:
     """BFGS over the turns of a chain's joints, and the root's shift where the chain begins at the world."""
-    segments = chain.segments
-    n = 3 * len(segments) + (3 if chain.moves_root else 0)
-
-    def change(x: FloatArray) -> FloatArray:
-        delta = np.zeros(3 + 3 * len(model.parents))
-        for k, s in enumerate(segments):
-            delta[3 + 3 * s : 6 + 3 * s] = x[3 * k : 3 * k + 3]
-        if chain.moves_root:
-            delta[:3] = x[-3:] / _MM
-        return delta
+    n = 3 * len(chain.segments) + (3 if chain.moves_root else 0)
 
     def cost(x: FloatArray) -> tuple[float, FloatArray]:
-        turned, moved = kernels.moved(model.parents, R, root, change(x))
-        return chain_gradient(model, seen, chain, Turned(turned, moved, R, x))
+        return chain_gradient(model, seen, chain, R, root, x)
 
     found = minimize(
         cost,
@@ -137,8 +127,7 @@ def _solve_chain(
         method="BFGS",
         options={"gtol": GRADIENT, "norm": 2, "maxiter": _MOST_STEPS},
     )
-    turned, moved = kernels.moved(model.parents, R, root, change(found.x))
-    return turned, moved
+    return turned(model, chain, R, root, found.x)
 
 
 def _mean_places(model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray) -> FloatArray:

@@ -8,6 +8,9 @@ import numpy as np
 
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, IntArray
+from gateway.geometry import rotation_matrix as rm
+from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import cross, dot, is_finite, norm, skew
 from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import BodyModel
 
@@ -41,52 +44,68 @@ def chains_of(skeleton: Skeleton) -> list[Chain]:
     return chains
 
 
-class Turned(NamedTuple):
-    """A pose after turns of some joints."""
+@compiled
+def turned(
+    model: BodyModel, chain: Chain, R: FloatArray, root: FloatArray, x: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return a pose (S, 3, 3), (3,) m after turns x of a chain's joints (rad, 3 each), and, where the root
+    moves, its shift (mm, the last three)."""
+    delta = np.zeros(3 + 3 * len(model.parents))
+    for k in range(len(chain.segments)):
+        at = 3 + 3 * chain.segments[k]
+        delta[at : at + 3] = x[3 * k : 3 * k + 3]
+    if chain.moves_root:
+        delta[:3] = x[-3:] / _MM
+    return kernels.moved(model.parents, R, root, delta)
 
-    R: FloatArray  # (S, 3, 3) segment to world
-    root: FloatArray  # (3,) m
-    R_start: FloatArray  # (S, 3, 3), before
-    turns: FloatArray  # 3 a segment of the chain, rad; where the root moves also its shift
 
-
+@compiled
 def chain_gradient(
-    model: BodyModel, observed: FloatArray, chain: Chain, pose: Turned
+    model: BodyModel, observed: FloatArray, chain: Chain, R: FloatArray, root: FloatArray, x: FloatArray
 ) -> tuple[float, FloatArray]:
     """Return Σ |virtual − real|² of the chain's markers, mm², and its gradient by the chain's turns (rad) and
-    shift (mm).
+    shift (mm). R (S, 3, 3), root (3,) m: the pose before them.
 
     The turn x of a joint is exp([x]×) in world
     axes before the turns of the joints above it, so its derivative takes them along and the left Jacobian of
     the exponential (Solà et al. 2018, arXiv 1812.01537, eq. 145).
     """
-    segments, R = chain.segments, pose.R
-    p = kernels.places(model.parents, model.offsets, R, pose.root)
-    y = kernels.marker_places(model.segments, model.positions, R, p)
-    gradient = np.zeros(3 * len(segments) + (3 if chain.moves_root else 0))
-    total = 0.0
+    R_now, root_now = turned(model, chain, R, root, x)
+    p = kernels.places(model.parents, model.offsets, R_now, root_now)
+    y = kernels.marker_places(model.segments, model.positions, R_now, p)
+    n = len(chain.segments)
+    rows = np.full(len(model.parents), -1)
+    for k in range(n):
+        rows[chain.segments[k]] = k
+    torques, force, total = np.zeros((n, 3)), np.zeros(3), 0.0
+    for m in range(len(y)):
+        row = rows[model.segments[m]]
+        if row < 0 or not is_finite(observed[m]):
+            continue
+        error = (y[m] - observed[m]) * _MM
+        total += dot(error, error)
+        force += 2.0 * error
+        for k in range(row + 1):
+            torques[k] += 2.0 * cross((y[m] - p[chain.segments[k]]) * _MM, error)
+    gradient = np.zeros(len(x))
     carried = np.eye(3)
-    inside = np.isin(model.segments, segments) & np.isfinite(observed).all(axis=1)
-    error = np.where(inside[:, None], (y - observed) * _MM, 0.0)
-    total = float((error**2).sum())
-    for k, s in enumerate(segments.tolist()):
-        below = inside & np.isin(model.segments, segments[k:])
-        arms = (y[below] - p[s]) * _MM
-        torque = 2.0 * np.cross(arms, error[below]).sum(axis=0)
-        gradient[3 * k : 3 * k + 3] = left_jacobian(pose.turns[3 * k : 3 * k + 3]).T @ carried.T @ torque
-        carried = R[s] @ pose.R_start[s].T
+    for k in range(n):
+        s = chain.segments[k]
+        own = rm.rotate_inverse(carried, torques[k])
+        gradient[3 * k : 3 * k + 3] = rm.rotate_inverse(left_jacobian(x[3 * k : 3 * k + 3]), own)
+        carried = rm.multiply(R_now[s], R[s].T.copy())
     if chain.moves_root:
-        gradient[-3:] = 2.0 * error.sum(axis=0)
+        gradient[-3:] = force
     return total, gradient
 
 
+@compiled
 def left_jacobian(x: FloatArray) -> FloatArray:
     """Return J with exp([x + d]×) ≈ exp([J d]×) exp([x]×), (3, 3)."""
-    angle = float(np.linalg.norm(x))
-    X = np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+    angle, X = norm(x), skew(x)
     if angle < 1e-6:
         return np.eye(3) + 0.5 * X
     a = (1.0 - np.cos(angle)) / angle**2
     b = (angle - np.sin(angle)) / angle**3
-    jacobian: FloatArray = np.eye(3) + a * X + b * X @ X
+    jacobian: FloatArray = np.eye(3) + a * X + b * rm.multiply(X, X)
     return jacobian

@@ -26,7 +26,7 @@ from gateway.reconstruction.optical.pose_solver import (
 from gateway.reconstruction.optical.rates import Rates
 from gateway.reconstruction.optical.tracking import ACCEPTED, NEAR, laid_anew, start_pose, turned_on
 
-_LONGEST = 15
+_LONGEST, _AS_IT_IS = 15, 0  # steps
 _FAR = 0.15
 """A marker farther than this from where it is expected is not asked until its name has been questioned, m."""
 _LONGEST_PREDICTION_NS = 60_000_000
@@ -37,6 +37,8 @@ _SMALLEST_VARIANCE = 0.25
 
 Renamed = tuple[tuple[int, int], ...]
 """(marker, whose point it had been; -1 for a nameless one)."""
+Named = tuple[FloatArray, Renamed]
+"""Markers (M, 3) m with the points that are theirs, and those that came under another name."""
 
 
 class OpticalReconstructor:
@@ -74,14 +76,21 @@ class OpticalReconstructor:
         """The last pose found; None before the first."""
         return None if self._now is None else self._now[1]
 
-    def solve_again(
-        self, observation: MarkerFrame, fit: MarkerFit | None, held: Held, root: FloatArray
-    ) -> SkeletonFrame:
-        """Return the pose of an instant drawn to a pose ``held``, from its orientations and ``root`` (3,) m,
-        by markers already named; without a fit, by whatever was seen under the names that it came with."""
-        positions, renamed = (observation.positions, ()) if fit is None else (fit.positions, fit.renamed)
+    def named(self, observation: MarkerFrame, R: FloatArray, root: FloatArray) -> Named:
+        """Return the markers of an instant once names are put right that do not fit a pose (S, 3, 3), (3,)
+        m."""
+        p = kernels.places(self.model.parents, self.model.offsets, R, root)
+        expected = kernels.marker_places(self.model.segments, self.model.positions, R, p)
+        found = relabelled(observation.positions, expected, self.model.sigmas, observation.unlabelled)
+        renamed = () if found is None else found.renamed
+        return _with_names(observation, renamed, expected), renamed
+
+    def explained(self, observation: MarkerFrame, named: Named, held: Held) -> SkeletonFrame:
+        """Return a pose ``held`` as that of an instant, explained by markers already named; how sure it is
+        follows from them and from how sure the pose is held."""
+        positions, renamed = named
         seen = everyone(np.ascontiguousarray(positions), NEAR)
-        pose = solve_pose(self.model, seen, held.R, root, held, _LONGEST)
+        pose = solve_pose(self.model, seen, held.R, held.root, held, _AS_IT_IS)
         self.last = self._explained(observation, pose, renamed)
         return self._frame(observation, pose)
 

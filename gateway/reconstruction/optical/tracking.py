@@ -27,7 +27,11 @@ ACCEPTED = 0.25
 """Say from which a marker counts as used."""
 _ENOUGH = 3
 """Markers that show how a segment lies."""
+_CLOSE = 0.015
+"""How far one or two markers may be off as they lie to their joint, m."""
 _LONGEST = 60
+_LOOKS = 5
+"""Frames that tell how a body stands."""
 _HOPELESS = 0.1  # m: a marker this far off says no more about a pose
 
 
@@ -82,12 +86,31 @@ def start_pose(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> P
     return _untwisted(model, observed, min(poses, key=lambda pose: _price(model, observed, pose)))
 
 
+def stands_along(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> FloatArray | None:
+    """Return (3,) the direction from the feet to the head of markers (F, M, 3) in the world, mean over some
+    frames, of a length up to 1; None where no frame shows it.
+
+    neutral: (3, 3) of every segment in the neutral posture, which tells how high each segment is.
+    """
+    n = len(model.parents)
+    heights = kernels.places(model.parents, model.offsets, np.tile(neutral, (n, 1, 1)), np.zeros(3))[:, 2]
+    found = []
+    for f in np.linspace(0, len(observed) - 1, min(len(observed), _LOOKS)).astype(np.int64).tolist():
+        pose = start_pose(model, observed[f], neutral)
+        if pose is not None:
+            p = kernels.places(model.parents, model.offsets, pose.R, pose.root)
+            along = (heights - heights.mean()) @ p
+            found.append(along / np.linalg.norm(along))
+    return np.mean(found, axis=0) if found else None
+
+
 def laid_anew(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose | None:
     """Return a cheaper pose, with segments laid over markers of their own that the pose misses; None without
     one.
 
     After a gap a segment may have turned so far that half of its markers or more count as ghosts: a minimum
-    of its own as well. Where three or more lie to each other as they should, none of them is one.
+    of its own as well. Where three or more lie to each other as they should, none of them is one; nor where
+    one or two lie so to the joint in which the segment hangs, though neither is where it was expected.
 
     observed: (M, 3) m, under the names that they came with.
     """
@@ -96,19 +119,50 @@ def laid_anew(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose | None
     n = len(model.parents)
     own_seen = np.bincount(model.segments[seen], minlength=n)
     missed = np.bincount(model.segments[seen & (pose.weights <= ACCEPTED)], minlength=n)
-    strays = (own_seen >= _ENOUGH) & (2 * missed >= own_seen)
+    strays = (own_seen > 0) & (2 * missed >= np.where(own_seen < _ENOUGH, 2, 1) * own_seen)
     if not strays.any():
         return None
     R, root = pose.R.copy(), pose.root
+    is_laid = False
     for s in np.flatnonzero(strays).tolist():
-        own = model.segments == s
-        turn, shift = rigid(model.positions[own], observed[own])
-        rest = np.linalg.norm(observed[own] - model.positions[own] @ turn.T - shift, axis=1)
-        if np.nanmax(rest) < NEAR:
-            R[s] = turn
+        joint = kernels.places(model.parents, model.offsets, R, root)[s]
+        turn, shift, rest = _laid(model, observed, s, joint, R[s])
+        if rest < (NEAR if own_seen[s] >= _ENOUGH else _CLOSE):
+            is_laid = True
             root = shift if model.parents[s] < 0 else root
+            R[s] = turn
+    if not is_laid:
+        return None
     other = solve_pose(model, everyone(observed, NEAR), R, root, Held(R), _LONGEST)
     return other if _price(model, observed, other) < _price(model, observed, pose) else None
+
+
+def _laid(
+    model: BodyModel, observed: FloatArray, s: int, joint: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return R (3, 3) and place (3,) m that lay a segment over its own markers, from an orientation ``R``,
+    and how far the worst is then off, m. With fewer than three of them its joint (3,) is one more point."""
+    own = np.flatnonzero((model.segments == s) & np.isfinite(observed).all(axis=1))
+    here, there = model.positions[own], observed[own]
+    if len(own) >= _ENOUGH:
+        turn, shift = rigid(here, there)
+    elif model.parents[s] < 0:
+        return R, joint, np.inf
+    elif len(own) == 1:
+        turn, shift = rm.from_rotation_vector(_shortest_turn(R @ here[0], there[0] - joint)) @ R, joint
+    else:
+        here, there = np.vstack([here, np.zeros(3)]), np.vstack([there, joint])
+        turn, shift = rigid(here, there)
+    rest = np.linalg.norm(there - here @ turn.T - shift, axis=1)
+    return turn, shift, float(rest.max())
+
+
+def _shortest_turn(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the rotation vector (3,) rad that turns the direction of ``a`` into that of ``b``."""
+    across = np.cross(a, b)
+    sine = float(np.linalg.norm(across))
+    turn: FloatArray = across * (np.arctan2(sine, float(a @ b)) / sine) if sine > 0.0 else np.zeros(3)
+    return turn
 
 
 def _untwisted(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose:

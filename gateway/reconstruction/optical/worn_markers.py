@@ -19,6 +19,8 @@ from gateway.support.settings_files import shipped_folder
 
 _ENOUGH = 6
 """Markers of a set that trials must have for the set to be taken unasked."""
+_NAMED = 12
+"""Of a file's markers in a message."""
 _SIZES_M = 0.02, 20.0
 """Between them lies the size of whatever wears markers."""
 _USUAL_M = 1.5
@@ -53,7 +55,7 @@ def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str
         trial = spelt(own, marker_set.labels, marker_set.other_names, person)
         seen = _seen(trial, marker_set.labels)
         if not seen:
-            raise GatewayError(_stranger(marker_set, own))
+            raise GatewayError(_stranger(marker_set, own, trial))
         meant = spellings(own.labels, marker_set.labels, marker_set.other_names, person, own.name)
         names = {name: label for label, name in meant.items() if name in seen} | names
         trial, found = without_ghosts(marker_set, trial)
@@ -61,7 +63,7 @@ def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str
         _refuse_wrong_unit(trial, marker_set)
         called.append(trial)
     worn = worn_part(marker_set, names)
-    _refuse_bare_root(marker_set, worn, trials[0])
+    _refuse_bare_root(marker_set, worn, called[0])
     left_out = tuple(name for name in marker_set.body.segment_names if name not in worn.body.segment_names)
     return Dressed(worn, tuple(called), names, left_out, dict(ghosts))
 
@@ -125,14 +127,11 @@ def fitting_set(trials: Sequence[MarkerTrial], person: str | None = None) -> Mar
         if (score := (len(known), -len(marker_set.labels))) > most:
             best, most = marker_set, score
     if most[0] < _ENOUGH <= named:
-        raise GatewayError(
-            f"{trials[0].name}: {named} markers by their names, of which {most[0]} are seen: its "
-            "points are empty, zero or farther than 1 km from the origin; export the trial again"
-        )
+        raise GatewayError(_never_seen(trials[0], named, most[0]))
     if best is None or most[0] < _ENOUGH:
         raise GatewayError(
             f"{trials[0].name}: its markers are those of no shipped set ({', '.join(names)}): it has "
-            f"{_some_labels(trials[0])}; describe them in a file and name it with --set"
+            f"{_some_labels(trials[0].labels)}; describe them in a file and name it with --set"
         )
     return best
 
@@ -147,16 +146,32 @@ def _refuse_bare_root(marker_set: MarkerSet, worn: MarkerSet, trial: MarkerTrial
     root = worn.body.segment_names[0]
     own = marker_set.file.markers.get(root, [])
     if own and not (worn.file.markers.get(root) and worn.file.segments[root].axes):
+        strangers = [label for label in trial.labels if label and label not in marker_set.labels]
+        alike = [label for label in strangers if any(label.casefold().startswith(o.casefold()) for o in own)]
         raise GatewayError(
             f"{trial.name}: {len(worn.labels)} markers of '{marker_set.file.name}', the nearest set, and "
-            f"none of its {root} ({', '.join(own)}), from which the body hangs; it has "
-            f"{_some_labels(trial)}: describe them in a file and name it with --set"
+            f"none of its {root} ({', '.join(own)}), from which the body hangs; "
+            + (
+                f"rename {', '.join(alike[:_NAMED])} where they are those, else describe "
+                if alike
+                else f"it has {_some_labels(strangers or trial.labels)}: describe "
+            )
+            + "its markers in a file and name it with --set"
         )
 
 
-def _stranger(marker_set: MarkerSet, trial: MarkerTrial) -> str:
-    name, known = marker_set.file.name, _some_labels(trial)
+def _stranger(marker_set: MarkerSet, trial: MarkerTrial, called: MarkerTrial) -> str:
+    name, known = marker_set.file.name, _some_labels(trial.labels)
+    if named := len({*marker_set.labels} & {*called.labels}):
+        return _never_seen(trial, named, 0)
     return f"{trial.name}: none of the markers of '{name}' is in it; it has {known}"
+
+
+def _never_seen(trial: MarkerTrial, named: int, seen: int) -> str:
+    return (
+        f"{trial.name}: {named} markers by their names, of which {seen} are seen: its points are empty, zero "
+        "or farther than 1 km from the origin; export the trial again"
+    )
 
 
 def _refuse_wrong_unit(trial: MarkerTrial, marker_set: MarkerSet) -> None:
@@ -177,6 +192,6 @@ def _refuse_wrong_unit(trial: MarkerTrial, marker_set: MarkerSet) -> None:
         )
 
 
-def _some_labels(trial: MarkerTrial) -> str:
-    named = [label for label in trial.labels if label and not label.startswith("*")]
-    return ", ".join(named[:12]) + (", …" if len(named) > 12 else "") or "no named markers"
+def _some_labels(labels: Sequence[str]) -> str:
+    named = [label for label in labels if label and not label.startswith("*")]
+    return ", ".join(named[:_NAMED]) + (", …" if len(named) > _NAMED else "") or "no named markers"

@@ -13,10 +13,13 @@ from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.rig import load_rig
 from gateway.cli.optical import fit_doubts
 from gateway.errors import GatewayError
+from gateway.geometry import quaternion
 from gateway.reconstruction.optical.fitting import fit_body
 from gateway.reconstruction.optical.ghosts import without_ghosts
 from gateway.reconstruction.optical.landmarks import vertical_axis
 from gateway.reconstruction.optical.marker_set import load_marker_set
+from gateway.reconstruction.optical.pose_solver import body_model
+from gateway.reconstruction.optical.tracking import stands_along
 from gateway.reconstruction.optical.worn_markers import fitting_set
 from gateway.recording.optical import write_solved_trial
 from tests.marked_person import subject_file
@@ -150,3 +153,47 @@ def test_a_static_trial_of_somebody_else_is_doubted(walk):
     found = fit_body(fitting_set([walk]), [still, walk])
     assert found.other_sizes == {walk.name: pytest.approx(1 / 1.3, abs=0.02)}
     assert any("another person" in doubt for doubt in fit_doubts(found))
+
+
+@needs_data
+def test_a_walk_with_another_axis_up_than_the_static_trial_is_turned_and_told(walk):
+    still = replace(walk, name="still", positions=walk.positions[:4])
+    odd = replace(walk, positions=walk.positions[..., [1, 2, 0]])  # y up
+    alike = fit_body(fitting_set([walk]), [still, walk])
+    found = fit_body(fitting_set([walk]), [still, odd])
+    assert found.other_axes == {odd.name: "y"}
+    assert any("stands along y there, along z" in doubt for doubt in fit_doubts(found))
+    np.testing.assert_allclose(found.skeleton.offsets, alike.skeleton.offsets, atol=1e-6)
+    markers, neutral = alike.markers, quaternion.to_matrix(alike.skeleton.neutral)
+    model = body_model(alike.skeleton, markers)
+    along = [stands_along(model, each.columns(markers.labels), neutral) for each in (walk, odd)]
+    assert along[0] @ [0.0, 0.0, 1.0] > 0.9
+    assert along[1] @ [0.0, 1.0, 0.0] > 0.9
+
+
+@needs_data
+def test_hips_that_the_motion_would_have_elsewhere_are_told(walk):
+    found = fit_body(fitting_set([walk]), [walk])
+    assert not found.is_functional
+    assert set(found.strained) <= {"left_thigh", "right_thigh"}
+    assert np.isfinite(found.rmse_free) == bool(found.strained)
+
+
+def test_a_second_trial_in_one_file_is_left_out_and_told(tmp_path):
+    trial = MarkerTrial("t", ("A", "B"), 50.0, np.random.default_rng(1).random((4, 2, 3)))
+    path = tmp_path / "twice.trc"
+    lines = [
+        "PathFileType\t4\t(X/Y/Z)\ttwice.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
+        "50\t50\t4\t2\tm",
+        "Frame#\tTime\tA\t\t\tB",
+        "\t\tX1\tY1\tZ1\tX2\tY2\tZ2",
+        *(
+            "\t".join([str(f + 1), f"{f / 50:g}", *map(str, places.ravel())])
+            for f, places in enumerate(trial.positions)
+        ),
+    ]
+    path.write_text("\n".join([*lines, *lines]) + "\n")
+    read = read_markers(path)
+    assert read.n_frames == 4
+    assert "from line 10 on another trial: left out" in read.notes[0]

@@ -15,10 +15,11 @@ from gateway.reconstruction.optical import kernels, point_rules
 from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.bundle import _loose
 from gateway.reconstruction.optical.carrying import Carrying
-from gateway.reconstruction.optical.joint_smoothing import Seen, from_turns, joint_turns, smoothed_turns
+from gateway.reconstruction.optical.motion_kernels import Motion, assembled, motion_cost, stepped
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.tracking import start_pose
+from gateway.reconstruction.optical.whole_motion import _differences
 
 BODY = load_body("human_17")
 HAND = BODY.index("right_hand")
@@ -115,22 +116,85 @@ def test_somebody_who_walks_on_unseen_is_bridged_at_the_root_too(hidden):
         assert np.isfinite(solved[130].angular_rate).all()
 
 
-def test_a_joint_smoothed_through_a_gap_follows_its_sine():
-    n, gap = 200, slice(80, 120)
-    angle = 0.7 * np.sin(2 * np.pi * 0.5 * 0.01 * np.arange(n))
-    true = Rotation.from_rotvec(angle[:, None] * [0.6, 0.8, 0.0]).as_matrix()[:, None]
-    noise = Rotation.from_rotvec(np.random.default_rng(2).normal(0.0, 0.01, (n, 3))).as_matrix()[:, None]
-    seen: list[Seen | None] = [Seen(turn, np.full((1, 3, 3), 1e4) * np.eye(3)) for turn in true @ noise]
-    seen[gap] = [None] * 40
-    turns = smoothed_turns(0.01 * np.arange(n), seen)
-    assert _apart_deg(turns[:, 0], true[:, 0])[gap].max() < 4.5  # it turns by 50° meanwhile
-    seen_apart = np.delete(_apart_deg(turns[:, 0], true[:, 0]), np.r_[gap])
-    assert np.sqrt((seen_apart**2).mean()) < np.degrees(0.01 * np.sqrt(3))
+def test_the_equations_of_a_motion_are_the_slope_of_its_cost() -> None:
+    """Frames at uneven times, the first ones fixed, markers missing here and there."""
+    markers = _markers(2)
+    model = body_model(BODY, markers)
+    generator = np.random.default_rng(6)
+    times = np.cumsum(generator.uniform(0.008, 0.03, 7))
+    R = _waving(7)
+    for s in range(BODY.n_segments):
+        rate = generator.normal(0.0, 1.0, 3)
+        R[:, s] = R[:, s] @ Rotation.from_rotvec(times[:, None] * rate).as_matrix()
+    root = np.array([0.0, 0.0, 0.95]) + times[:, None] * [1.2, 0.3, 0.0]
+    observed = np.array([_seen(model, each) for each in R]) + (root - [0.0, 0.0, 0.95])[:, None]
+    observed += generator.normal(0.0, 0.002, observed.shape)
+    observed[generator.random(observed.shape[:2]) < 0.3] = np.nan
+    motion, differences = Motion(R, root, 3), _differences(times, 3)
+    _, right = assembled(model, observed, 1.0, motion, differences)
+    slope = np.empty_like(right)
+    for i in range(len(right)):
+        step = np.zeros(len(right))
+        step[i] = 1e-6
+        costs = [
+            motion_cost(model, observed, 1.0, stepped(model, motion, each), differences)
+            for each in (step, -step)
+        ]
+        slope[i] = (costs[0] - costs[1]) / 2e-6
+    np.testing.assert_allclose(-right, slope, atol=2e-3 * np.abs(slope).max())
 
 
-def test_turns_of_joints_make_the_pose_again():
-    R = Rotation.random(BODY.n_segments, random_state=4).as_matrix()
-    np.testing.assert_allclose(from_turns(BODY.parents, joint_turns(BODY.parents, R)), R, atol=1e-12)
+@pytest.mark.parametrize("length", [20, 60])
+def test_a_limb_that_hides_is_bridged_by_the_least_jerk(length: int) -> None:
+    """A whole leg, hip, knee and ankle, is unseen for 0.2 s and 0.6 s of a swing of 2 rad/s at most."""
+    markers = _markers()
+    model = body_model(BODY, markers)
+    R, leg = _waving(160), [BODY.index(f"left_{name}") for name in ("thigh", "shank", "foot")]
+    angle = 0.4 * np.sin(2 * np.pi * 0.8 * 0.01 * np.arange(160))
+    turns = Rotation.from_rotvec(angle[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    R[:, leg[0]] = R[:, leg[0]] @ turns
+    R[:, leg[1]] = R[:, leg[0]] @ turns
+    R[:, leg[2]] = R[:, leg[1]]
+    observed = np.array([_seen(model, each) for each in R])
+    observed += np.random.default_rng(1).normal(0.0, 0.001, observed.shape)
+    gap = slice(70, 70 + length)
+    observed[gap, np.isin(markers.segments, leg)] = np.nan
+    frames = [MarkerFrame(f, f * STEP_NS, seen) for f, seen in enumerate(observed)]
+    solved, _ = solve_both_ways(BODY, markers, frames)
+    found = np.array([quaternion.to_matrix(each.q_wb[leg[1]]) for each in solved])
+    assert _apart_deg(found, R[:, leg[1]])[gap].max() < (1.5 if length == 20 else 15.0)
+
+
+def test_a_trial_longer_than_a_stretch_has_no_seams() -> None:
+    markers = _markers(2)
+    model = body_model(BODY, markers)
+    observed = np.array([_seen(model, each) for each in _waving(620)])
+    observed[380:420, markers.segments == HAND] = np.nan  # across the end of the first stretch
+    frames = [MarkerFrame(f, f * STEP_NS, seen) for f, seen in enumerate(observed)]
+    solved, _ = solve_both_ways(BODY, markers, frames)
+    hand = np.array([quaternion.to_matrix(each.q_wb[HAND]) for each in solved])
+    assert _apart_deg(hand, _waving(620)[:, HAND]).max() < 4.0  # it turns by up to 57° meanwhile
+    assert _apart_deg(hand[1:], hand[:-1]).max() < 2.0
+
+
+def test_a_hand_with_one_marker_that_turned_far_unseen_is_met_again() -> None:
+    """Its marker comes back 9 cm from where it was expected: as far from the wrist as it should be."""
+    every = _markers(3)
+    kept = np.array([m for m, s in enumerate(every.segments) if s != HAND or m % 3 == 0])
+    places = every.positions[kept]
+    places[every.segments[kept] == HAND] = [0.0, -0.08, 0.02]
+    markers = BodyMarkers(
+        tuple(every.labels[m] for m in kept), every.segments[kept], places, every.sigmas[kept]
+    )
+    model = body_model(BODY, markers)
+    R = _waving(60)
+    R[30:, HAND] = R[30:, HAND] @ rm.from_rotation_vector(np.array([0.0, 0.0, 1.2]))
+    observed = np.array([_seen(model, each) for each in R])
+    observed[20:30, markers.segments == HAND] = np.nan
+    reconstructor = OpticalReconstructor(BODY, markers)
+    found = [reconstructor.update(MarkerFrame(f, f * STEP_NS, seen)) for f, seen in enumerate(observed)]
+    assert np.nanmax([frame.markers.residuals[markers.segments == HAND] for frame in found[31:]]) < 0.003
+    assert reconstructor.counts["laid_anew"] == 1
 
 
 def test_a_joint_carries_its_rate_on_and_comes_to_rest():

@@ -25,7 +25,7 @@ from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.landmarks import landmarks_of, measurements, to_world, vertical_axis
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model, normal_equations
-from gateway.reconstruction.optical.published_chains import Turned, chain_gradient, chains_of
+from gateway.reconstruction.optical.published_chains import chain_gradient, chains_of
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.recording.optical import optical_settings
 from gateway.recording.snapshot import body_of
@@ -194,13 +194,7 @@ def test_published_gradient_and_chains() -> None:
         x = generator.normal(0.0, 0.2, n)
 
         def at(x: FloatArray, chain=chain) -> tuple[float, FloatArray]:  # type: ignore[no-untyped-def]
-            delta = np.zeros(3 + 3 * body.n_segments)
-            for k, s in enumerate(chain.segments.tolist()):
-                delta[3 + 3 * s : 6 + 3 * s] = x[3 * k : 3 * k + 3]
-            if chain.moves_root:
-                delta[:3] = x[-3:] * 1e-3
-            R, root = kernels.moved(model.parents, R0, root0, delta)
-            return chain_gradient(model, seen, chain, Turned(R, root, R0, x))
+            return chain_gradient(model, seen, chain, R0, root0, x)
 
         numeric = np.array([(at(x + d)[0] - at(x - d)[0]) / 2e-6 for d in 1e-6 * np.eye(n)])
         np.testing.assert_allclose(at(x)[1], numeric, rtol=1e-4, atol=1e-3 * np.abs(numeric).max())
