@@ -32,7 +32,7 @@ from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.networks.imported import person_of
 from gateway.reconstruction.video.networks.person_detector import Person
 from gateway.reconstruction.video.networks.weights import keypoint_set_of
-from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor, worn_person
+from gateway.reconstruction.video.reconstructor import VideoReconstructor, worn_person
 from gateway.reconstruction.video.region import peaks
 from gateway.reconstruction.video.regions import person_region, square_of
 from gateway.sources.heat_maps import Instant, Instants, heat_maps_of
@@ -115,6 +115,12 @@ class LiveCrowd:
         """Numbers of the people who are there."""
         return [each.number for each in self._tracked if each.number is not None]
 
+    def solved_by(self, number: int, solver: VideoReconstructor) -> None:
+        """Take somebody to be where ``solver`` has them, which gets the ``chunks`` of that number: nobody is
+        tracked twice."""
+        (index,) = [k for k, each in enumerate(self._tracked) if each.number == number]
+        self._crowd.solved_by(index, solver)
+
     def receive(self, chunk: Chunk) -> Iterator[CrowdInstant]:
         """Yield the instants that a chunk completes."""
         receiver = self._receivers.setdefault(chunk.link, HeatMapReceiver())
@@ -146,10 +152,11 @@ class LiveCrowd:
         }
 
     def _advanced(self, instant: Instant) -> CrowdInstant:
+        expected = self._crowd.expected_after(1)
         masked = self._crowd.masked([self._frame_of(each, instant) for each in self._tracked])
-        poses = self._crowd.follow(masked)
-        for each, pose, frame in zip(self._tracked, poses, masked, strict=True):
-            is_there = self._is_there(pose, frame)
+        self._crowd.follow(masked)
+        for each, points, frame in zip(self._tracked, expected, masked, strict=True):
+            is_there = points is not None and self._is_there(points, frame)
             each.instants += 1
             each.there += is_there
             each.absent = 0 if is_there else each.absent + 1
@@ -158,17 +165,18 @@ class LiveCrowd:
             for each, frame in zip(self._tracked, masked, strict=True)
             if each.number is not None
         }
-        left = self._parted(poses)
+        left = self._parted()
         entered = self._entered()
         self._admit(instant)
         return CrowdInstant(entered, chunks, left, self._orders(instant.sequence))
 
-    def _is_there(self, pose: VideoPose, frame: HeatMapFrame) -> bool:
-        """Return whether two cameras at least show enough of the keypoints where the pose has them."""
+    def _is_there(self, points: FloatArray, frame: HeatMapFrame) -> bool:
+        """Return whether two cameras at least show enough of the keypoints where they are expected,
+        (n_keypoints, 3) m."""
         seen = np.zeros(len(self._names), dtype=np.int64)
         for camera, maps in zip(self._cameras, frame.cameras, strict=True):
             if maps is not None:
-                seen += _likelihood_at(maps, project(camera, pose.keypoints)) >= _LEAST_SEEN
+                seen += _likelihood_at(maps, project(camera, points)) >= _LEAST_SEEN
         return float((seen >= 2).mean()) >= _LEAST_SEEN
 
     def _frame_of(self, tracked: _Tracked, instant: Instant) -> HeatMapFrame:
@@ -193,15 +201,15 @@ class LiveCrowd:
         )  # fmt: skip
         return b"".join(map(encode_heat_maps, messages))
 
-    def _parted(self, poses: Sequence[VideoPose]) -> list[int]:
+    def _parted(self) -> list[int]:
         """Forget whoever is gone, is somebody else, or was nobody; return the numbers of those who had
         entered."""
         gone = [
             index
-            for index, (each, pose) in enumerate(zip(self._tracked, poses, strict=True))
+            for index, (each, tracker) in enumerate(zip(self._tracked, self._crowd.trackers, strict=True))
             if index in self._crowd.same_as
             or (each.number is not None and each.absent >= _ABSENT)
-            or (each.number is not None and not np.isfinite(pose.keypoints).all())
+            or (each.number is not None and tracker.pose is None)
             or (each.number is None and each.instants >= _TRIAL)
         ]
         left = []
@@ -218,12 +226,12 @@ class LiveCrowd:
     def _entered(self) -> dict[int, WornSuit]:
         """Number those whose trial has ended well."""
         entered = {}
-        for each, person in zip(self._tracked, self._crowd.people, strict=True):
+        for each, tracker in zip(self._tracked, self._crowd.trackers, strict=True):
             is_person = each.there >= _LEAST_TRIAL * each.instants
-            if each.number is None and person.tracker.is_settled and is_person:
+            if each.number is None and tracker.is_settled and is_person:
                 self.counts.entered += 1
                 each.number = self.counts.entered
-                entered[each.number] = worn_person(person.person, self._video)
+                entered[each.number] = worn_person(tracker.person, self._video)
         return entered
 
     def _admit(self, instant: Instant) -> None:
@@ -261,8 +269,7 @@ class LiveCrowd:
 
     def _is_known(self, camera: Camera, person: Person) -> bool:
         """Return whether somebody who is tracked is where a camera shows a person."""
-        for each in self._crowd.people:
-            expected = each.expected
+        for expected in self._crowd.expected_after(1):
             if expected is not None:
                 apart = np.linalg.norm(project(camera, self._hips(expected)) - person.hips)
                 if apart < _NEAR * person.radius:
@@ -277,17 +284,13 @@ class LiveCrowd:
     def _orders(self, sequence: int) -> bytes:
         """Return where everybody whose pose is known will be ``AHEAD`` pictures later."""
         by_camera: dict[str, dict[int, Square | None]] = {camera.name: {} for camera in self._cameras}
-        for each, person in zip(self._tracked, self._crowd.people, strict=True):
-            for camera, square in self._squares(person):
-                by_camera[camera][each.told] = square
+        for each, points in zip(self._tracked, self._crowd.expected_after(AHEAD), strict=True):
+            if points is None:
+                continue
+            for camera in self._cameras:
+                region = person_region(camera, points, self._names)
+                by_camera[camera.name][each.told] = square_of(region)
         return encode_orders(sequence + AHEAD, by_camera)
-
-    def _squares(self, person: VideoReconstructor) -> Iterator[tuple[str, Square | None]]:
-        expected = person.expected_after(AHEAD)
-        if expected is None:
-            return
-        for camera in self._cameras:
-            yield camera.name, square_of(person_region(camera, expected, self._names))
 
 
 def _likelihood_at(maps: CameraHeatMaps, pixels: FloatArray) -> FloatArray:

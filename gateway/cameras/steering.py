@@ -63,8 +63,8 @@ class Steering:
         by_person = [
             [Order(True, None) for _ in self._cameras]
             if index in self.same_as
-            else self._orders_of(person.expected_after(AHEAD))
-            for index, person in enumerate(self._crowd.people)
+            else self._orders_of(points)
+            for index, points in enumerate(self._crowd.expected_after(AHEAD))
         ]
         return [list(each) for each in zip(*by_person, strict=True)]
 

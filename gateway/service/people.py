@@ -11,6 +11,7 @@ from devices.link import Chunk, Link
 from gateway.body.skeleton import WornSuit
 from gateway.cameras.live_crowd import LiveCrowd
 from gateway.errors import SettingsError
+from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.service.further_bodies import HandedLink, beside
 from gateway.settings import GatewaySettings
 from gateway.sources.link_settings import LinkSettings
@@ -23,8 +24,10 @@ LINK = "cameras"
 _LONGEST_END_S = 5.0
 """For the services of people to say that they end."""
 
-Serve = Callable[[GatewaySettings, WornSuit, Sequence[Link]], Coroutine[Any, Any, None]]
-"""Runs a person's service until it is cancelled."""
+Serve = Callable[
+    [GatewaySettings, WornSuit, Sequence[Link]], tuple[VideoReconstructor, Coroutine[Any, Any, None]]
+]
+"""Makes a person's service: what solves them in it, and what runs it until it is cancelled."""
 
 
 class PeopleBeforeCameras:
@@ -73,7 +76,9 @@ class PeopleBeforeCameras:
     def _begin(self, number: int, suit: WornSuit) -> None:
         settings = self._settings_of(number)
         link = HandedLink(LINK)
-        serving = asyncio.create_task(self._serve(settings, suit, [link]), name=settings.gateway)
+        solver, service = self._serve(settings, suit, [link])
+        self.crowd.solved_by(number, solver)
+        serving = asyncio.create_task(service, name=settings.gateway)
         self._present[number] = link, serving
         log.info("person %d has entered: '%s'", number, settings.gateway)
 

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import functools
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
@@ -33,7 +33,7 @@ from gateway.cameras.broker_link import link_of
 from gateway.contract.balances import Balance
 from gateway.contract.messages import BridgeInfo, KernelsInfo, ModuleInfo
 from gateway.errors import GatewayError
-from gateway.frames import SkeletonFrame
+from gateway.frames import HeatMapFrame, SkeletonFrame
 from gateway.geometry import compiled
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.makers import MakersModules
@@ -46,6 +46,7 @@ from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder, in_turn
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, LOAD_EVENT, Pipeline, Worn
+from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.recording.control import RecordingControl
 from gateway.recording.shelf import Shelf
 from gateway.service.accounting import balances_of
@@ -157,7 +158,7 @@ class Service:
         sender = HostSender(self._note_sent, senders=stream.senders)
         self._orders = CameraOrders([link for link in self.links if self._has_cameras(link)])
         if settings.people is not None:
-            self.people = PeopleBeforeCameras(settings, suit, _serve_person, self._orders.tell)
+            self.people = PeopleBeforeCameras(settings, suit, _person_service, self._orders.tell)
         self._announced: list[Link] = []  # to the pipeline, and with devices that take commands
         self._askers = list(_askers(settings, self._announced, sender, stream))
 
@@ -544,11 +545,16 @@ class Service:
                 log.warning("%s", news)
 
 
-async def _serve_person(settings: GatewaySettings, suit: WornSuit, links: Sequence[Link]) -> None:
-    """The service of somebody before cameras, of whom nothing stays at the broker."""
+def _person_service(
+    settings: GatewaySettings, suit: WornSuit, links: Sequence[Link]
+) -> tuple[VideoReconstructor, Coroutine[Any, Any, None]]:
+    """Return the service of somebody before cameras, of whom nothing stays at the broker: what solves them in
+    it, and what runs it."""
     service = Service(settings, suit, links)
     service.mqtt.leaves_nothing = True
-    await _run_beside(service)
+    stage = service.pipeline.stage_of(HeatMapFrame)
+    assert isinstance(stage, CameraStage)
+    return stage.reconstructor, _run_beside(service)
 
 
 async def _run_beside(service: Service) -> None:

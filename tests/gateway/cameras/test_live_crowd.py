@@ -23,7 +23,8 @@ CAMERAS = ring_of_cameras(4)
 class Played:
     """A crowd before cameras, instant by instant."""
 
-    def __init__(self, most: int = 4) -> None:
+    def __init__(self, most: int = 4, is_shared: bool = True) -> None:
+        self.is_shared = is_shared
         self.crowd = LiveCrowd(VideoSetUp(tuple(CAMERAS), "full"), most)
         self.cameras = ServedCameras(CAMERAS, KEYPOINTS, most)
         self.persons, self.places = {}, {}
@@ -38,7 +39,10 @@ class Played:
             if row in without:
                 continue
             for step in self.crowd.receive(Chunk(message, now_ns, f"camera{row}")):
-                self.persons |= {number: video_reconstructor(suit) for number, suit in step.entered.items()}
+                for number, suit in step.entered.items():
+                    self.persons[number] = video_reconstructor(suit)
+                    if self.is_shared:
+                        self.crowd.solved_by(number, self.persons[number])
                 for number, data in step.chunks.items():
                     maps = tuple(map(heat_maps_of, HeatMapReceiver().receive(data)))
                     pose = self.persons[number].update(HeatMapFrame(self.sequence, now_ns, maps))
