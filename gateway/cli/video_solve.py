@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +16,7 @@ from rich.table import Table
 
 from devices.cameras.keypoint_files import is_keypoints
 from gateway.body.camera import Camera
-from gateway.body.skeleton import WornSuit
+from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.calibration.cameras_file import axis_of, load_cameras
 from gateway.cameras.camera_process import CameraTask
 from gateway.cli.export import export
@@ -34,19 +35,16 @@ from gateway.cli.video import (
     people_of,
 )
 from gateway.errors import GatewayError
-from gateway.reconstruction.video.networks.weights import weights_of
+from gateway.reconstruction.video.networks.person_detector import MOST_PEOPLE
 from gateway.recording.exporters.formats import FORMATS
 from gateway.support.video_extra import require_video_extra
 from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:
     from gateway.cameras.consistency import Consistency
+    from gateway.cameras.filmed_people import Instants
     from gateway.cameras.rig_of_cameras import RigOptions
     from gateway.recording.video import SolvedVideo
-
-
-Instants = list[list[bytes]]
-"""Messages of one person: of every instant, one a camera."""
 
 
 @with_options(Pictures)
@@ -109,24 +107,27 @@ def solve(
     _places(target, wanted or 1, force=force)
     network = pictures.network
     if all(is_keypoints(each.rpartition("=")[2]) for each in files):
+        if join:
+            raise GatewayError("--join puts pictures together: keypoints of other programs have none")
         seen, network, captured, rate_hz = _imported(files, cameras, pictures, wanted, frames)
+        video = VideoSetUp(seen, network)
     else:
         require_video_extra()
         seen, tasks = matched(files, cameras, pictures)
-        options = RigOptions(not unequal, wanted, joined_of(join or [], seen))
-        captured, rate_hz = looked_at(seen, tasks, frames, options, is_shown=not as_json)
+        video = VideoSetUp(seen, network, joined_of(join or [], seen))
+        options = RigOptions(not unequal, wanted or MOST_PEOPLE)
+        captured, rate_hz = looked_at(video, tasks, frames, options, is_shown=not as_json)
+        _tell_how_many(len(captured), wanted)
     if len(seen) < 2:
         typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
     if synchronise:
         captured = _in_step(seen, captured)
-    if wanted is None:
-        captured = _real_people(captured, seen)
     known = None if subject is None else load_rig(str(subject))
     outcomes = []
     for messages, place, person in _people(captured, target, fit_subject, force=force):
         checked = consistency_of(seen, messages)
         checked.refuse_wrong(cameras)
-        suit = video_suit(seen, network, messages, known)
+        suit = replace(video_suit(seen, network, messages, known), video=video)
         if person is not None:
             _write_subject(person, suit, force=force)
         done = _written(messages, rate_hz, suit, place, offline=offline, is_shown=not as_json)
@@ -169,7 +170,20 @@ def _imported(
     read = [read_keypoints(Path(place)) for place in places.values()]
     skipped = offsets_of(pictures.offset or [], list(known))
     network, captured = keypoint_messages(cameras, read, skipped, pictures.rate, wanted)
+    if wanted is None:
+        captured = _real_people(captured, cameras)
     return cameras, network, [each[:frames] for each in captured], pictures.rate
+
+
+def _tell_how_many(found: int, wanted: int | None) -> None:
+    """Say where fewer people were found than asked for. Raises ``GatewayError`` where nobody was."""
+    if not found:
+        raise GatewayError(
+            "nobody was found by rays of two cameras that meet, for 20 pictures: does the calibration belong "
+            "to these cameras, in this order, and are they synchronised?"
+        )
+    if wanted is not None and found != wanted:
+        typer.echo(f"note: {found} recordings: so many came before the cameras, not {wanted}", err=True)
 
 
 def _real_people(captured: list[Instants], cameras: Sequence[Camera]) -> list[Instants]:
@@ -242,7 +256,7 @@ def _write_subject(path: Path, suit: WornSuit, *, force: bool) -> None:
 
 
 def looked_at(
-    cameras: Sequence[Camera],
+    video: VideoSetUp,
     tasks: Sequence[CameraTask],
     frames: int | None,
     options: RigOptions,
@@ -250,27 +264,21 @@ def looked_at(
     is_shown: bool = True,
 ) -> tuple[list[Instants], float]:
     """Return by person the heat maps of every instant, a message a camera; and the rate in Hz."""
+    from gateway.cameras.filmed_people import FilmedPeople
     from gateway.cameras.rig_of_cameras import CameraRig
-    from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 
-    keypoints = load_keypoint_set(weights_of(tasks[0].network).keypoint_set)
     with (
         progress_bar("looking at pictures", is_shown=is_shown) as tell,
-        CameraRig(cameras, tasks, keypoints, options) as rig,
+        CameraRig(video, tasks, options) as rig,
     ):
         if rig.count is None and frames is None:
             raise GatewayError("a live camera has no end: say with --frames how many pictures to take")
         total = min(each for each in (rig.count, frames) if each is not None)
-        captured: list[Instants] = [[] for _ in range(rig.n_people)]
+        filmed = FilmedPeople(video, rig.rate_hz)
         for done, instant in enumerate(itertools.islice(rig, total), start=1):
-            for messages, each in zip(captured, instant, strict=True):
-                messages.append(each)
+            filmed.add(instant.messages, instant.before)
             tell(done, total)
-        doubles = rig.same_as
-        if doubles and is_shown:
-            told = ", ".join(f"{double + 1} as {first + 1}" for double, first in sorted(doubles.items()))
-            typer.echo(f"note: one person was found more than once ({told}): counted once", err=True)
-        return [each for k, each in enumerate(captured) if k not in doubles], rig.rate_hz
+        return filmed.people, rig.rate_hz
 
 
 def _outcome(done: SolvedVideo, checked: Consistency, n_cameras: int) -> dict[str, Any]:
