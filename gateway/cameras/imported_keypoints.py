@@ -13,11 +13,23 @@ from gateway.cameras.people_matching import meeting_point, people_in_common
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
-from gateway.reconstruction.video.networks.imported import in_order, layout_of, maps_of, person_of
+from gateway.reconstruction.video.networks.imported import (
+    LEAST_LIKELIHOOD,
+    in_order,
+    layout_of,
+    maps_of,
+    person_of,
+)
 from gateway.reconstruction.video.networks.person_detector import Person
 
 _FARTHEST = 0.25
 """That somebody's hips may move from one picture to the next, in sizes of the person."""
+_LARGEST_SHARE = 2.0
+"""Up to which places are no pixels: programs may count from -1 to 1, or a little beyond."""
+_BORDER = 0.1
+"""Of the picture's sides: so far beyond them a network may guess a keypoint."""
+_MOST_BEYOND = 0.3
+"""Of all keypoints, that may be farther."""
 _NOWHERE = np.zeros((2, 3))
 _FIRST_PICTURES = 60
 """In which the people are looked for: the first that shows somebody to two cameras counts."""
@@ -44,6 +56,8 @@ def keypoint_messages(
     if len(counts) > 1:
         told = ", ".join(f"{each.path} {each.n_keypoints}" for each in pictures)
         raise GatewayError(f"the cameras' keypoints are of different networks: {told}")
+    for camera, each in zip(cameras, pictures, strict=True):
+        _check_pixels(camera, each)
     keypoint_set, layout = layout_of(counts.pop(), str(pictures[0].path))
     names = load_keypoint_set(keypoint_set).names
     seen = [
@@ -66,6 +80,28 @@ def keypoint_messages(
         for person in followed
     ]
     return keypoint_set, messages
+
+
+def _check_pixels(camera: Camera, pictures: PictureKeypoints) -> None:
+    """Raise ``GatewayError`` for keypoints that cannot be pixels of the calibrated pictures."""
+    points = np.concatenate([person for people in pictures.people for person in people])
+    pixels = points[points[:, 2] >= LEAST_LIKELIHOOD, :2]
+    if not len(pixels):
+        return
+    if np.abs(pixels).max() <= _LARGEST_SHARE:
+        raise GatewayError(
+            f"{pictures.path}: places are shares of the picture, {pixels.min():.2g} to {pixels.max():.2g}: "
+            "pixels are wanted"
+        )
+    size = np.array([camera.width, camera.height])
+    beyond = ((pixels < -_BORDER * size) | (pixels > (1.0 + _BORDER) * size)).any(axis=1)
+    if beyond.mean() > _MOST_BEYOND:
+        x, y = pixels.max(axis=0)
+        raise GatewayError(
+            f"{pictures.path}: keypoints at up to {x:.0f}, {y:.0f}, in pictures of {camera.width}×"
+            f"{camera.height} pixels by the calibration of camera '{camera.name}': are the pictures larger, "
+            "or another camera's?"
+        )
 
 
 def _in_step(pictures: Sequence[PictureKeypoints]) -> list[tuple[People, ...]]:

@@ -106,7 +106,7 @@ def solve(
     target = _target(files, output, to or [])
     _places(target, wanted or 1, force=force)
     network = pictures.network
-    if all(is_keypoints(each.rpartition("=")[2]) for each in files):
+    if _are_keypoints(files):
         if join:
             raise GatewayError("--join puts pictures together: keypoints of other programs have none")
         seen, network, captured, rate_hz = _imported(files, cameras, pictures, wanted, frames)
@@ -138,6 +138,18 @@ def solve(
             export(place, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
     if as_json:
         typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
+
+
+def _are_keypoints(files: Sequence[str]) -> bool:
+    """Return whether keypoints of another program are given in the place of pictures. Raises
+    ``GatewayError`` where some are and some are not."""
+    places = [each.rpartition("=")[2] for each in files]
+    others = [place for place in places if not is_keypoints(place)]
+    if others and len(others) < len(places):
+        raise GatewayError(
+            f"{others[0]}: has no keypoints (a .json, or a folder with such files), the other cameras have"
+        )
+    return not others
 
 
 def _in_step(cameras: Sequence[Camera], captured: Sequence[Instants]) -> list[Instants]:
