@@ -184,12 +184,14 @@ def write_offline_video(
         suit.video.cameras, keypoints, observed, VideoOptions(is_measured=True), advanced
     )
     spent = time.process_time() - began
+    shown = [index for index, each in enumerate(observed) if any(maps is not None for maps in each.cameras)]
+    there = range(shown[0], shown[-1] + 1) if shown else range(0)
     chunks = video_chunks(messages, rate_hz)[: len(messages)]
     attachments = attachments_of(video_settings(subject, rate_hz), suit)
     with DerivedRecordingWriter(target, _session(target, OFFLINE), attachments, _BEGUN_NS) as writer:
-        for chunk, frame in zip(chunks, frames, strict=True):
-            # as live, there is no pose of an instant in which nobody is known
-            is_known = bool((frame.status != Status.MISSING).any())
+        for index, (chunk, frame) in enumerate(zip(chunks, frames, strict=True)):
+            # Tracking backwards would hold the first pose of somebody who was not there yet.
+            is_known = index in there and bool((frame.status != Status.MISSING).any())
             add_solved(writer, chunk, CARRIES, [replace(frame, time_ns=chunk.arrived_ns)] if is_known else [])
     return SolvedVideo(target, len(frames), suit.markers.labels, (), {}, 1e3 * spent / max(len(frames), 1))
 
