@@ -18,16 +18,18 @@ class FilmedPeople:
     """Puts together what the instants of a film bring; where somebody is not there, cameras show nobody."""
 
     def __init__(self, video: VideoSetUp, rate_hz: float) -> None:
-        self._video, self._rate_hz = video, rate_hz
+        self.video = video
+        self.taken = 0
+        """Instants."""
+        self._rate_hz = rate_hz
         self._people: dict[int, Instants] = {}
-        self._taken = 0
 
     def add(
         self, messages: Mapping[int, Sequence[bytes]], before: Mapping[int, Sequence[Sequence[bytes]]]
     ) -> None:
         """Add one instant. messages: by number, one a camera; before: of those who have entered, all
         instants up to this one since they were found."""
-        self._taken += 1
+        self.taken += 1
         for number, each in messages.items():
             self._extend(number, [each])
         for number, instants in before.items():
@@ -38,16 +40,20 @@ class FilmedPeople:
         """By person, in the order in which they entered; whoever has left ends then."""
         return list(self._people.values())
 
+    def time_ns(self, index: int) -> int:
+        """Return when an instant is, since the film's first."""
+        return round(index * 1e9 / self._rate_hz)
+
     def _extend(self, number: int, instants: Sequence[Sequence[bytes]]) -> None:
         """Add instants of somebody that end at the newest one, and before them those without the person."""
         person = self._people.setdefault(number, [])
-        absent = range(len(person), self._taken - len(instants))
+        absent = range(len(person), self.taken - len(instants))
         person += [self._nobody(index) for index in absent]
         person += [list(each) for each in instants]
 
     def _nobody(self, index: int) -> list[bytes]:
-        time_ns = round(index * 1e9 / self._rate_hz)
+        time_ns = self.time_ns(index)
         return [
-            encode_heat_maps(HeatMapMessage(camera.name, self._video.network, index, time_ns, None, _NOWHERE))
-            for camera in self._video.cameras
+            encode_heat_maps(HeatMapMessage(camera.name, self.video.network, index, time_ns, None, _NOWHERE))
+            for camera in self.video.cameras
         ]

@@ -336,7 +336,9 @@ class LiveCrowd:
                 if person is one
             }
             self._tracked_ever += 1
-            self._tracked.append(_Tracked(self._tracked_ever, own))
+            newcomer = _Tracked(self._tracked_ever, own)
+            newcomer.seen.append(self._encoded(self._frame_of(newcomer, instant), instant))
+            self._tracked.append(newcomer)
             self._crowd.enter()
 
     def _found(self, row: int, instant: Instant) -> list[tuple[Person, int]]:

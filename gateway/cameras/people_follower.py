@@ -4,7 +4,7 @@ where the poses of all cameras will have them."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -26,24 +26,41 @@ _UNTOLD = 150
 """Pictures after which somebody is left whom no gateway took for a person."""
 
 
-class Detector(Protocol):
+Picture_contra = TypeVar("Picture_contra", contravariant=True)
+"""A picture, or what stands for one."""
+
+
+class Network(Protocol[Picture_contra]):
+    """What makes heat maps of one person."""
+
+    @property
+    def keypoints(self) -> tuple[str, ...]:
+        """Names of the maps."""
+
+    def heat_maps(self, picture: Picture_contra, region: PersonRegion) -> CameraHeatMaps:
+        """Return the maps of the one person that ``region`` shows."""
+
+
+class Detector(Protocol[Picture_contra]):
     """What finds people."""
 
-    def people(self, picture: Picture, window: PersonRegion | None = None) -> list[Person]:
+    def people(self, picture: Picture_contra, window: PersonRegion | None = None) -> list[Person]:
         """Return the people of a picture, or of one part of it, the likeliest first."""
 
-    def everybody(self, picture: Picture, most: int) -> list[Person]:
+    def everybody(self, picture: Picture_contra, most: int) -> list[Person]:
         """Return as ``people`` does, and those whom somebody nearer outshines in the whole; it takes long."""
 
-    def windows(self, picture: Picture) -> list[PersonRegion | None]:
+    def windows(self, picture: Picture_contra) -> list[PersonRegion | None]:
         """Return parts in which people are found whom somebody nearer outshines in the whole; None: the
         whole."""
 
 
-class PeopleFollower:
+class PeopleFollower(Generic[Picture_contra]):
     """Keeps a region for each person from picture to picture."""
 
-    def __init__(self, network: PoseNetwork, detector: Detector, most: int) -> None:
+    def __init__(
+        self, network: Network[Picture_contra], detector: Detector[Picture_contra], most: int
+    ) -> None:
         """Follow nobody yet. most: people at once; one alone has the number 0, whoever tells."""
         self._network, self._detector, self._most = network, detector, most
         self._regions: dict[int, PersonRegion | None] = {}
@@ -69,7 +86,7 @@ class PeopleFollower:
         }
         self._regions = told | kept
 
-    def heat_maps(self, picture: Picture) -> dict[int, CameraHeatMaps | None]:
+    def heat_maps(self, picture: Picture_contra) -> dict[int, CameraHeatMaps | None]:
         """Return the maps of everybody who is followed, by number; None of one who is not seen any more."""
         self._look(picture)
         self._pictures += 1
@@ -94,7 +111,7 @@ class PeopleFollower:
             if (region := self._regions.get(number)) is not None
         ]
 
-    def _look(self, picture: Picture) -> None:
+    def _look(self, picture: Picture_contra) -> None:
         """Begin to follow whom the detector finds beside those who are followed."""
         if self._pictures - self._ordered_at > _SILENT:
             self._joined = {}
@@ -122,7 +139,7 @@ class PeopleFollower:
                 self._regions[number] = person.region
                 self._since[number] = self._pictures
 
-    def _newcomers(self, picture: Picture) -> list[Person]:
+    def _newcomers(self, picture: Picture_contra) -> list[Person]:
         """Return whom the detector finds: at first anywhere, then in one part of the picture after the
         other."""
         self._looks += 1
@@ -143,7 +160,9 @@ class FollowingCameras:
     """The cameras of one process: each follows by itself, and two side by side see somebody who is partly in
     either picture together."""
 
-    def __init__(self, names: Sequence[str], network: PoseNetwork, detector: Detector, most: int) -> None:
+    def __init__(
+        self, names: Sequence[str], network: PoseNetwork, detector: Detector[Picture], most: int
+    ) -> None:
         """names: of the cameras, one or two. most: people at once."""
         self._network = network
         self._followers = {name: PeopleFollower(network, detector, most) for name in names}

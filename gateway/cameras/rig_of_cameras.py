@@ -12,7 +12,7 @@ from devices.cameras.pictures import CameraError, PictureInfo
 from gateway.body.skeleton import VideoSetUp
 from gateway.cameras.camera_process import CameraProcess, CameraTask
 from gateway.cameras.live_crowd import AHEAD, CrowdInstant, LiveCrowd
-from gateway.cameras.people_matching import people_in_common
+from gateway.cameras.people_matching import person_in_common
 from gateway.cameras.steering import Steering
 from gateway.reconstruction.video.regions import square_of
 
@@ -102,7 +102,7 @@ class CameraRig:
     def _chosen(self) -> bytes:
         """Return orders for the first pictures: the one person whom most cameras agree upon."""
         seen = self._by_camera([process.people() for process in self._processes])
-        (regions,) = people_in_common(self._video.cameras, seen, 1)
+        regions = person_in_common(self._video.cameras, seen)
         squares = {
             camera.name: {} if region is None else {0: square_of(region)}
             for camera, region in zip(self._video.cameras, regions, strict=True)

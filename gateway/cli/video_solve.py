@@ -117,7 +117,7 @@ def solve(
         video = VideoSetUp(seen, network, joined_of(join or [], seen))
         options = RigOptions(not unequal, wanted or MOST_PEOPLE)
         captured, rate_hz = looked_at(video, tasks, frames, options, is_shown=not as_json)
-        _tell_how_many(len(captured), wanted)
+    _tell_how_many(len(captured), wanted)
     if len(seen) < 2:
         typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
     if synchronise:
@@ -181,9 +181,7 @@ def _imported(
     cameras = tuple(known[name] for name in places)
     read = [read_keypoints(Path(place)) for place in places.values()]
     skipped = offsets_of(pictures.offset or [], list(known))
-    network, captured = keypoint_messages(cameras, read, skipped, pictures.rate, wanted)
-    if wanted is None:
-        captured = _real_people(captured, cameras)
+    network, captured = keypoint_messages(cameras, read, skipped, pictures.rate, wanted or MOST_PEOPLE)
     return cameras, network, [each[:frames] for each in captured], pictures.rate
 
 
@@ -196,17 +194,6 @@ def _tell_how_many(found: int, wanted: int | None) -> None:
         )
     if wanted is not None and found != wanted:
         typer.echo(f"note: {found} recordings: so many came before the cameras, not {wanted}", err=True)
-
-
-def _real_people(captured: list[Instants], cameras: Sequence[Camera]) -> list[Instants]:
-    """Return those whose rays meet; the first one in any case. Two cameras may each have seen something
-    else."""
-    from gateway.cameras.consistency import consistency_of
-
-    real = [messages for messages in captured[1:] if consistency_of(cameras, messages).is_one_person]
-    if left := len(captured) - 1 - len(real):
-        typer.echo(f"note: {left} in the first pictures seen by too few cameras, and left out", err=True)
-    return [captured[0], *real]
 
 
 def _people(

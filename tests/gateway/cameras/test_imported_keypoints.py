@@ -148,23 +148,32 @@ def test_what_is_no_such_file_is_refused(tmp_path: Path, content: str, said: str
 
 @pytest.mark.timeout(600)
 def test_two_walkers_are_told_apart_and_found_where_they_are(tmp_path: Path) -> None:
-    """OpenPose's BODY_25; each camera lists the people in another order, and loses one for three pictures."""
+    """OpenPose's BODY_25; each camera lists the people in another order, one loses one for three pictures,
+    and the second comes later."""
     keypoint_set, layout = LAYOUTS[25]
     keypoints = load_keypoint_set(keypoint_set)
+    frames, late = 40, 8
     people = [
-        walking(keypoints, FRAMES, (-0.1, 0.6), (0.8, 0.0)),
-        walking(keypoints, FRAMES, (0.1, -0.6), (-0.8, 0.1), phase=1.0),
+        walking(keypoints, frames, (-0.1, 0.6), (0.8, 0.0)),
+        walking(keypoints, frames, (0.1, -0.6), (-0.8, 0.1), phase=1.0),
     ]
     read = []
     for c in range(len(CAMERAS)):
         pictures = []
-        for f in range(FRAMES):
+        for f in range(frames):
             order = people if (c + f) % 2 else people[::-1]
-            kept = [p for p in order if not (c == 1 and p is people[0] and 5 <= f < 8)]
+            lost = (people[0], c == 1 and 5 <= f < 8), (people[1], f < late)
+            kept = [p for p in order if not any(p is each and is_lost for each, is_lost in lost)]
             pictures.append([_found(person, c, f, layout, keypoints.names) for person in kept])
         read.append(read_keypoints(_folder(tmp_path / f"camera{c}", pictures)))
     network, captured = keypoint_messages(CAMERAS, read, {}, 60.0, 2)
-    assert (network, len(captured), len(captured[0])) == ("feet_24", 2, FRAMES)
+    assert (network, [len(each) for each in captured]) == ("feet_24", [frames, frames])
+    begun = [
+        next(f for f, each in enumerate(person) if any(heat_map_frame(f, each).cameras))
+        for person in captured
+    ]
+    assert begun[0] < 3
+    assert late <= begun[1] < late + 8
     places = []
     for messages in captured:
         reconstructor = VideoReconstructor(CAMERAS, keypoints)
