@@ -94,7 +94,7 @@ def _solved(video: VideoSetUp, tasks: Sequence[CameraTask], options: RigOptions)
     with CameraRig(video, tasks, options) as rig:
         filmed = FilmedPeople(video, rig.rate_hz)
         for instant in islice(rig, INSTANTS):
-            filmed.add(instant.messages, instant.before)
+            filmed.add(instant)
     found = []
     for person in filmed.people:
         reconstructor = VideoReconstructor(video.cameras, keypoints)

@@ -156,7 +156,7 @@ def _by_the_clock(cameras: Sequence[Camera], tasks: Sequence[CameraTask], people
         filmed = FilmedPeople(video, rig.rate_hz)
         instants = enumerate(rig)
         for _, instant in itertools.islice(instants, _FIRST):
-            filmed.add(instant.messages, instant.before)
+            filmed.add(instant)
         if len(filmed.people) != people:
             raise GatewayError(f"{len(filmed.people)} people in the first {_FIRST} pictures, not {people}")
         pipelines = {
@@ -185,7 +185,7 @@ class _Led:
 
     def take(self, messages: Sequence[bytes]) -> CrowdInstant:
         """Pass an instant on."""
-        return CrowdInstant({}, {}, {1: messages}, [], self._stage.orders())
+        return CrowdInstant({}, {}, {1: messages}, {}, [], self._stage.orders())
 
 
 def _stage(pipeline: Pipeline) -> CameraStage:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
 from gateway.body.skeleton import VideoSetUp
+from gateway.cameras.live_crowd import CrowdInstant
 
 Instants = list[list[bytes]]
 """Messages of one person: of every instant, one a camera."""
@@ -20,25 +21,27 @@ class FilmedPeople:
     def __init__(self, video: VideoSetUp, rate_hz: float) -> None:
         self.video = video
         self.taken = 0
-        """Instants."""
+        """Instants, those too in which nobody was looked for."""
+        self._absent: dict[int, int] = {}
         self._rate_hz = rate_hz
         self._people: dict[int, Instants] = {}
 
-    def add(
-        self, messages: Mapping[int, Sequence[bytes]], before: Mapping[int, Sequence[Sequence[bytes]]]
-    ) -> None:
-        """Add one instant. messages: by number, one a camera; before: of those who have entered, all
-        instants up to this one since they were found."""
+    def add(self, instant: CrowdInstant) -> None:
+        """Add one instant."""
         self.taken += 1
-        for number, each in messages.items():
-            self._extend(number, [each])
-        for number, instants in before.items():
+        for number, messages in instant.messages.items():
+            self._extend(number, [messages])
+        for number, instants in instant.before.items():
             self._extend(number, instants)
+        self._absent |= dict.fromkeys(instant.before, 0) | instant.absent
 
     @property
     def people(self) -> list[Instants]:
-        """By person, in the order in which they entered; whoever has left ends then."""
-        return list(self._people.values())
+        """By person, in the order in which they entered; until they were last there."""
+        return [
+            messages[: len(messages) - self._absent.get(number, 0)]
+            for number, messages in self._people.items()
+        ]
 
     def time_ns(self, index: int) -> int:
         """Return when an instant is, since the film's first."""

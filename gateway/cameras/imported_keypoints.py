@@ -79,10 +79,9 @@ def keypoint_messages(
     seen = [of_camera[:count] for of_camera in seen]
     filmed = FilmedPeople(VideoSetUp(tuple(cameras), keypoint_set), rate_hz)
     people, first, begun = _people(filmed.video, seen, wanted)
-    for _ in range(begun):
-        filmed.add({}, {})
+    filmed.taken = begun
     for instant in _followed(filmed, [of_camera[begun:] for of_camera in seen], people, first, most=wanted):
-        filmed.add(instant.messages, instant.before)
+        filmed.add(instant)
     return keypoint_set, filmed.people
 
 

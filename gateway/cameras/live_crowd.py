@@ -107,6 +107,8 @@ class CrowdInstant:
     """Of those who entered, the messages of every instant from when they were found to this one."""
     messages: Mapping[int, Sequence[bytes]]
     """By number, a message a camera with the heat maps without the other people: as of a single person."""
+    absent: Mapping[int, int]
+    """By the numbers in ``messages``, instants since somebody was last there; they may be waited for."""
     left: Sequence[int]
     orders: bytes
     """For the cameras."""
@@ -205,13 +207,14 @@ class LiveCrowd:
                 each.seen.append(encoded)
             else:
                 messages[each.number] = encoded
+        absent = {each.number: each.absent for each in self._tracked if each.number is not None}
         left = self._parted()
         entered = self._entered()
         self._admit(instant)
         return CrowdInstant(
             {number: worn_person(person, self._video) for number, (person, _) in entered.items()},
             {number: seen for number, (_, seen) in entered.items()},
-            messages, left, self._orders(instant.sequence),
+            messages, absent, left, self._orders(instant.sequence),
         )  # fmt: skip
 
     def _note(self, each: _Tracked, points: FloatArray | None, frame: HeatMapFrame) -> None:

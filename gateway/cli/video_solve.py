@@ -275,7 +275,7 @@ def looked_at(
         total = min(each for each in (rig.count, frames) if each is not None)
         filmed = FilmedPeople(video, rig.rate_hz)
         for done, instant in enumerate(itertools.islice(rig, total), start=1):
-            filmed.add(instant.messages, instant.before)
+            filmed.add(instant)
             tell(done, total)
         return filmed.people, rig.rate_hz
 
@@ -307,11 +307,13 @@ def _tell(outcome: dict[str, Any]) -> None:
 
 
 def _keypoint_figures(done: SolvedVideo, n_cameras: int) -> dict[str, dict[str, float]]:
-    """Return figures by keypoint; none of an offline solution, whose poses are not followed one by one."""
-    if not done.poses:
+    """Return figures by keypoint, of the instants in which the person was there; none of an offline solution,
+    whose poses are not followed one by one."""
+    poses = [pose for pose in done.poses if np.isfinite(pose.keypoints).all()]
+    if not poses:
         return {}
-    lost = np.array([pose.tracking != 0 for pose in done.poses])
-    likelihood = np.array([pose.likelihood for pose in done.poses]) / n_cameras
+    lost = np.array([pose.tracking != 0 for pose in poses])
+    likelihood = np.array([pose.likelihood for pose in poses]) / n_cameras
     return {
         name: {
             "tracked_percent": round(100 * float(1 - lost[:, k].mean()), 1),

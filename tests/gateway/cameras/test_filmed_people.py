@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from devices.cameras.heat_map_messages import retimed
 from gateway.body.skeleton import VideoSetUp
 from gateway.cameras.filmed_people import FilmedPeople
+from gateway.cameras.live_crowd import CrowdInstant
 from gateway.cli.main import app
 from gateway.emulation.video_truth import RATE_HZ
 from gateway.recording import open_recording
@@ -32,9 +33,8 @@ def late():
         for index, instant in enumerate(walk, start=LATE)
     ]
     filmed = FilmedPeople(VIDEO, RATE_HZ)
-    for _ in range(LATE + N - 1):
-        filmed.add({}, {})
-    filmed.add({}, {1: shown})
+    filmed.taken = LATE + N - 1
+    filmed.add(CrowdInstant({}, {1: shown}, {}, {}, [], b""))
     (messages,) = filmed.people
     assert len(messages) == LATE + N
     return messages
