@@ -33,7 +33,8 @@ class FilmedPeople:
             self._extend(number, [messages])
         for number, instants in instant.before.items():
             self._extend(number, instants)
-        self._absent |= dict.fromkeys(instant.before, 0) | instant.absent
+        self._absent.update(dict.fromkeys(instant.before, 0))
+        self._absent.update(instant.absent)
 
     @property
     def people(self) -> list[Instants]:
