@@ -224,7 +224,6 @@ def overlay(
 
 
 _DAY_S = 86_400
-RECORDING = ".mcap"
 
 
 def serve_camera(
@@ -299,6 +298,8 @@ def serve_camera(
 
 def _beside(name: str, place: str, neighbour: str | None) -> list[tuple[str, str]]:
     """Return names and places of a camera and its neighbour. Raises ``GatewayError``."""
+    from gateway.cameras.serving import RECORDING
+
     if neighbour is None:
         return [(name, place)]
     other, _, there = neighbour.partition("=")
