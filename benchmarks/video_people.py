@@ -21,7 +21,9 @@ from benchmarks.video_pictures import DATA, RATE_HZ, calibrated_cameras, look, s
 from benchmarks.video_scoring import LIMBS
 from devices.cameras.pictures import Picture, open_pictures
 from gateway.body.camera import Camera, project
+from gateway.body.skeleton import VideoSetUp
 from gateway.cameras.camera_process import CameraTask
+from gateway.cameras.filmed_people import FilmedPeople
 from gateway.cameras.rig_of_cameras import CameraRig, RigOptions
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
@@ -54,7 +56,7 @@ def run() -> Report:
     cameras = calibrated_cameras()
     with tempfile.TemporaryDirectory() as folder:
         tasks = pasted(cameras, alone, Path(folder))
-        people = _solved(cameras, tasks, RigOptions(people=2))
+        people = _solved(VideoSetUp(tuple(cameras), "full"), tasks, RigOptions(people=2))
     off = [[_apart(person, alone + shift) for person in people] for shift in (np.zeros(3), ASIDE)]
     report.figures += [
         Figure(
@@ -66,7 +68,10 @@ def run() -> Report:
         halves, tasks = _cut(cameras, Path(folder))
         pairs = tuple((n, n + 1) for n, half in enumerate(halves[:-1]) if half.name.endswith("_left"))
         apart, joined = (
-            _apart(_solved(halves, tasks, RigOptions(must_agree=False, joined=each))[0], alone)
+            _apart(
+                _solved(VideoSetUp(tuple(halves), "full", each), tasks, RigOptions(must_agree=False))[0],
+                alone,
+            )
             for each in ((), pairs)
         )
     report.figures += [
@@ -83,24 +88,26 @@ def _apart(found: FloatArray, known: FloatArray) -> float:
     return 1e3 * float(np.nanmedian(off))
 
 
-def _solved(cameras: Sequence[Camera], tasks: Sequence[CameraTask], options: RigOptions) -> list[FloatArray]:
+def _solved(video: VideoSetUp, tasks: Sequence[CameraTask], options: RigOptions) -> list[FloatArray]:
     """By person (INSTANTS, n_keypoints, 3) m, not smoothed."""
     keypoints = load_keypoint_set("blazepose_33")
-    with CameraRig(cameras, tasks, keypoints, options) as rig:
-        instants = list(islice(rig, INSTANTS))
+    with CameraRig(video, tasks, options) as rig:
+        filmed = FilmedPeople(video, rig.rate_hz)
+        for instant in islice(rig, INSTANTS):
+            filmed.add(instant)
     found = []
-    for person in zip(*instants, strict=True):
-        reconstructor = VideoReconstructor(cameras, keypoints)
+    for person in filmed.people:
+        reconstructor = VideoReconstructor(video.cameras, keypoints)
         poses = [reconstructor.update(heat_map_frame(t, messages)) for t, messages in enumerate(person)]
         found.append(np.array([pose.keypoints for pose in poses]))
     return found
 
 
 def pasted(cameras: Sequence[Camera], places: FloatArray, folder: Path) -> list[CameraTask]:
-    """Folders of the clip's pictures with the person (INSTANTS, n_keypoints, 3) m in them twice."""
+    """Folders of the clip's pictures with the person (n, n_keypoints, 3) m in them twice."""
     for camera in cameras:
-        for t, picture in enumerate(_film(camera)):
-            _write(folder / camera.name, t, _with_another(camera, picture, places[t]))
+        for t, (picture, points) in enumerate(zip(_film(camera, len(places)), places, strict=True)):
+            _write(folder / camera.name, t, _with_another(camera, picture, points))
     return [_task(camera.name, folder) for camera in cameras]
 
 
@@ -155,9 +162,9 @@ def _cut(cameras: Sequence[Camera], folder: Path) -> tuple[list[Camera], list[Ca
     return halves, tasks
 
 
-def _film(camera: Camera) -> Iterator[Picture]:
+def _film(camera: Camera, count: int = INSTANTS) -> Iterator[Picture]:
     source = open_pictures(str(DATA / f"videos/{camera.name}.mp4"))
-    for _, picture in islice(source, INSTANTS):
+    for _, picture in islice(source, count):
         yield picture
     source.close()
 

@@ -15,17 +15,20 @@ import numpy as np
 import psutil
 
 from benchmarks.figures import Figure, Report, table
-from benchmarks.video_people import INSTANTS as PASTED
 from benchmarks.video_people import pasted
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from devices.cameras.pictures import Picture, open_pictures
 from devices.link import Chunk
 from gateway.body.camera import Camera
+from gateway.body.skeleton import VideoSetUp
 from gateway.calibration.cameras_file import load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.cameras.camera_process import CameraTask
+from gateway.cameras.filmed_people import FilmedPeople
+from gateway.cameras.live_crowd import AHEAD, CrowdInstant, LiveCrowd
 from gateway.cameras.rig_of_cameras import CameraRig, RigOptions
-from gateway.frames import FloatArray
+from gateway.errors import GatewayError
+from gateway.frames import FloatArray, HeatMapFrame
 from gateway.pipeline import Pipeline
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
@@ -36,16 +39,17 @@ from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.reconstruction.video.region import PersonRegion, peaks, region_of_maps
 from gateway.recording.video import LINK, video_chunks, video_settings, video_suit
 from gateway.sources.heat_maps import heat_map_frame
+from gateway.stages.cameras import CameraStage
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "pose2sim_single"
-INSTANTS = 24
 NETWORKS = ("lite", "full", "heavy")
 _CORES = 2
 _NETWORK_PICTURES = 12
 _CROP = 256
 _MIRRORED = 8
-_FIRST, _TIMED = 12, 26
-"""Instants."""
+_FIRST, _TIMED = 26, 26
+"""Instants: until the people have been measured, and then."""
+INSTANTS = _FIRST + _TIMED + AHEAD
 _CLOCK = "4 cameras of 1088×1920 on 2 cores, BlazePose full, from files to poses"
 
 Value = TypeVar("Value")
@@ -146,17 +150,48 @@ def _rates(name: str, measured: tuple[float, float], target: str, note: str) -> 
 
 def _by_the_clock(cameras: Sequence[Camera], tasks: Sequence[CameraTask], people: int) -> tuple[float, float]:
     """Instants a second that come out solved, by the clock and by processor time, after the first ones, which
-    compile and measure the people."""
-    with CameraRig(cameras, tasks, load_keypoint_set("blazepose_33"), RigOptions(people=people)) as rig:
+    compile and measure the people. Several are followed as before served cameras."""
+    video = VideoSetUp(tuple(cameras), "full")
+    with CameraRig(video, tasks, RigOptions(people=people)) as rig:
+        filmed = FilmedPeople(video, rig.rate_hz)
         instants = enumerate(rig)
-        first = [instant for _, instant in itertools.islice(instants, _FIRST)]
-        pipelines = [_pipeline(cameras, list(messages), rig.rate_hz) for messages in zip(*first, strict=True)]
+        for _, instant in itertools.islice(instants, _FIRST):
+            filmed.add(instant)
+        if len(filmed.people) != people:
+            raise GatewayError(f"{len(filmed.people)} people in the first {_FIRST} pictures, not {people}")
+        pipelines = {
+            number: _pipeline(cameras, messages, rig.rate_hz)
+            for number, messages in enumerate(filmed.people, start=1)
+        }
+        stages = {number: _stage(pipeline) for number, pipeline in pipelines.items()}
+        if isinstance(rig.people, LiveCrowd):
+            for number, stage in stages.items():
+                rig.people.solved_by(number, stage.reconstructor)
+        else:
+            rig.people = _Led(stages[1])
         began, used = time.perf_counter(), _processor_s()
         for index, instant in itertools.islice(instants, _TIMED):
-            for pipeline, messages in zip(pipelines, instant, strict=True):
-                pipeline.feed(Chunk(b"".join(messages), round(index * 1e9 / rig.rate_hz), LINK))
+            for number, messages in instant.messages.items():
+                pipelines[number].feed(Chunk(b"".join(messages), round(index * 1e9 / rig.rate_hz), LINK))
         spent, used = time.perf_counter() - began, _processor_s() - used
     return _TIMED / spent, _CORES * _TIMED / used
+
+
+class _Led:
+    """Cameras led by what solves their one person, as those are that serve a gateway."""
+
+    def __init__(self, stage: CameraStage) -> None:
+        self._stage = stage
+
+    def take(self, messages: Sequence[bytes]) -> CrowdInstant:
+        """Pass an instant on."""
+        return CrowdInstant({}, {}, {1: messages}, {}, [], self._stage.orders())
+
+
+def _stage(pipeline: Pipeline) -> CameraStage:
+    stage = pipeline.stage_of(HeatMapFrame)
+    assert isinstance(stage, CameraStage)
+    return stage
 
 
 def _processor_s() -> float:
@@ -167,11 +202,12 @@ def _processor_s() -> float:
 
 
 def _known(cameras: Sequence[Camera], instants: list[list[bytes]]) -> FloatArray:
-    """Where the person is, (n, n_keypoints, 3) m, in as many pictures as ``pasted`` takes."""
+    """Where the person is, (n, n_keypoints, 3) m."""
     keypoints = load_keypoint_set("blazepose_33")
     reconstructor = VideoReconstructor(cameras, keypoints)
-    found = [reconstructor.update(heat_map_frame(t, each)).keypoints for t, each in enumerate(instants)]
-    return np.array(found + found[-1:] * (PASTED - len(found)))
+    return np.array(
+        [reconstructor.update(heat_map_frame(t, each)).keypoints for t, each in enumerate(instants)]
+    )
 
 
 def _cameras() -> tuple[list[Camera], list[str]]:

@@ -127,13 +127,17 @@ def _crossing(cameras: list[Camera] | tuple[Camera, ...]) -> FloatArray:
     for f in range(90):
         everyone = np.stack([person.keypoints[f] for person in people])
         shown = [everyone if f else everyone[k : k + 1] for k in range(2)]
-        poses = crowd.update([rendered(cameras, regions[k], shown[k], f) for k in range(2)])
-        regions = [pose.regions for pose in poses]
+        crowd.update([rendered(cameras, regions[k], shown[k], f) for k in range(2)])
+        regions = [
+            true_regions(cameras, KEYPOINTS, points)
+            for points in crowd.expected_after(1)
+            if points is not None
+        ]
         errors.append(
             np.concatenate(
                 [
-                    np.linalg.norm(pose.newest.p_w[rows] - person.joints[f][rows], axis=1)
-                    for pose, person in zip(poses, people, strict=True)
+                    np.linalg.norm(tracker.joints[rows] - person.joints[f][rows], axis=1)
+                    for tracker, person in zip(crowd.trackers, people, strict=True)
                 ]
             )
         )

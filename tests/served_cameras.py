@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -58,16 +59,35 @@ class Scene:
                 found.append(Person(0.9, hips, shoulders, region.size / 2.5))
         return found
 
+    def everybody(self, people: FloatArray, most: int) -> list[Person]:
+        """Return whoever is in the picture."""
+        return self.people(people)[:most]
+
     def windows(self, people: FloatArray) -> list[PersonRegion | None]:
         """Return the whole."""
         return [None]
 
 
+class TwiceScene(Scene):
+    """The same with a detector that finds everybody twice, a hand's breadth apart."""
+
+    def people(self, people: FloatArray, window: PersonRegion | None = None) -> list[Person]:
+        """Return whoever is in the picture, and each once more beside."""
+        found = super().people(people, window)
+        return [
+            replace(person, hips=person.hips + beside, shoulders=person.shoulders + beside)
+            for person in found
+            for beside in ([0.0, 0.0], [0.55 * person.radius, 0.0])
+        ]
+
+
 class ServedCameras:
     """All cameras of a scene, each of which keeps the orders that it is given."""
 
-    def __init__(self, cameras: Sequence[Camera], keypoints: KeypointSet, most: int = 4) -> None:
-        scenes = [Scene(camera, keypoints) for camera in cameras]
+    def __init__(
+        self, cameras: Sequence[Camera], keypoints: KeypointSet, most: int = 4, scene: type[Scene] = Scene
+    ) -> None:
+        scenes = [scene(camera, keypoints) for camera in cameras]
         self._tasks = [CameraTask(camera.name, "", "full") for camera in cameras]
         self.followers = [PeopleFollower(scene, scene, most) for scene in scenes]  # type: ignore[arg-type]
 

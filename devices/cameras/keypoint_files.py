@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,19 +61,30 @@ def read_keypoints(path: Path) -> PictureKeypoints:
     Raises ``FormatError``.
     """
     first, found = _of_folder(path) if path.is_dir() else _of_file(path)
-    counts = {len(person) for people in found for person in people}
-    if len(counts) > 1:
-        raise FormatError(
-            f"{path}: people of {' and '.join(map(str, sorted(counts)))} keypoints: one network's"
-        )
-    if not counts:
-        raise FormatError(f"{path}: nobody in any of {len(found)} pictures")
+    _check_counts(path, [person for people in found for person in people])
+    if not any(found):
+        raise FormatError(f"{path}: nobody in any of {len(found)} pictures: leave this camera out")
     return PictureKeypoints(path, tuple(found), first)
+
+
+def _check_counts(path: Path, people: Sequence[NDArray[np.float64]]) -> None:
+    """Raise ``FormatError`` for people with different numbers of keypoints."""
+    counts = Counter(len(person) for person in people)
+    if len(counts) > 1:
+        listed = " and ".join(f"{n} with {each}" for each, n in sorted(counts.items()))
+        raise FormatError(f"{path}: people of different networks, or cut off: {listed} keypoints")
 
 
 def _of_folder(path: Path) -> tuple[int, list[People]]:
     files = sorted(path.glob("*.json"), key=lambda each: (_number(each), each.name))
     people = [_people(_loaded(file), file) for file in files]
+    usual = Counter(len(person) for each in people for person in each).most_common(1)
+    for file, each in zip(files, people, strict=True):
+        if each and len(each[0]) != usual[0][0]:
+            raise FormatError(
+                f"{file}: {len(each[0])} keypoints a person, {usual[0][0]} in most other pictures: cut off, "
+                "or another network's?"
+            )
     return _by_number([_number(file) for file in files], people)
 
 
@@ -104,7 +116,9 @@ def _loaded(path: Path) -> Any:
 def _people(content: Any, file: Path) -> People:
     if not isinstance(content, dict) or not isinstance(content.get("people"), list):
         raise FormatError(f"{file}: no list 'people': files of OpenPose's kind have one")
-    return tuple(_person(each, file) for each in content["people"])
+    people = tuple(_person(each, file) for each in content["people"])
+    _check_counts(file, people)
+    return people
 
 
 def _of_file(path: Path) -> tuple[int, list[People]]:
@@ -140,5 +154,5 @@ def _person(entry: Any, path: Path) -> NDArray[np.float64]:
             f"{path}: a person without {' or '.join(_FIELDS)}, a list of x, y and likelihood by turns"
         ) from error
     if not np.isfinite(found).all():
-        raise FormatError(f"{path}: keypoints that are no numbers")
+        raise FormatError(f"{path}: keypoints that are no numbers: one that was not found is 0, 0, 0")
     return found

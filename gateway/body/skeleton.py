@@ -100,6 +100,9 @@ class VideoSetUp:
 
     cameras: tuple[Camera, ...]
     network: str
+    pairs: tuple[tuple[int, int], ...] = ()
+    """Cameras side by side, by their place in the order: where somebody is partly in the picture of either,
+    the two are put together."""
 
 
 @dataclass(frozen=True)

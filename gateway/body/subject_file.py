@@ -41,6 +41,18 @@ class VideoEntry(_Strict):
 
     network: str = Field(description="whose heat maps come: full, lite, heavy or openpose")
     cameras: list[CameraEntry] = Field(min_length=1, description="in a world whose Z points up")
+    joined: list[tuple[str, str]] = Field(
+        default=[], description="names of two cameras each, side by side, whose pictures are put together"
+    )
+
+    def pairs(self, source: str) -> tuple[tuple[int, int], ...]:
+        """Return those side by side by their place in the order. Raises ``SettingsError``."""
+        names = [camera.name for camera in self.cameras]
+        named = [name for pair in self.joined for name in pair]
+        for name in named:
+            if name not in names or named.count(name) > 1:
+                raise SettingsError(f"{source}: video.joined: '{name}' is no camera, or stands there twice")
+        return tuple((names.index(first), names.index(second)) for first, second in self.joined)
 
 
 class SubjectFile(_Strict):
@@ -91,7 +103,7 @@ def load_subject(path: Path) -> WornSuit:
     if file.video is None:
         return suit
     cameras = tuple(entry.camera(str(path)) for entry in file.video.cameras)
-    return replace(suit, video=VideoSetUp(cameras, file.video.network))
+    return replace(suit, video=VideoSetUp(cameras, file.video.network, file.video.pairs(str(path))))
 
 
 def subject_content(

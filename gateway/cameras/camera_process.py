@@ -1,9 +1,9 @@
 """A camera in a process of its own: it decodes, finds people, runs the network, and hands over heat-map
 messages in the order of the pictures. Two whose pictures are put together are in one process.
 
-What goes over the pipe: from the child ``("opened", [PictureInfo, …])`` and ``("people", [[Person, …], …])``
-of the first pictures, by camera; then for every list of orders (by camera, by person) that it is sent
-``("messages", …)``, bytes by camera and person; at last ``("end", None)``, or ``("error", text)``.
+What goes over the pipe: from the child ``("opened", [PictureInfo, …])``, where one person is followed
+``("people", [[Person, …], …])`` of the first pictures, by camera; then for every line of orders that it is
+sent ``("messages", …)``, bytes by camera; at last ``("end", None)``, or ``("error", text)``.
 """
 
 from __future__ import annotations
@@ -21,11 +21,10 @@ import numpy as np
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from devices.cameras.pictures import CameraError, PictureInfo, PictureSource, open_pictures
 from devices.device_errors import DeviceError
-from gateway.cameras.person_follower import Order, PersonFollower
-from gateway.cameras.stitching import joined_heat_maps
+from gateway.cameras.people_follower import FollowingCameras
 from gateway.errors import GatewayError
 from gateway.frames import CameraHeatMaps
-from gateway.reconstruction.video.networks.network import Picture, PoseNetwork, load_network
+from gateway.reconstruction.video.networks.network import Picture, load_network
 from gateway.reconstruction.video.networks.person_detector import Person, PersonDetector
 
 _NOWHERE = np.zeros((2, 3))
@@ -52,8 +51,8 @@ class CameraProcess:
     """The parent's end of one camera, or of two whose pictures are put together."""
 
     def __init__(self, tasks: Sequence[CameraTask], most: int = 1) -> None:
-        """Start the process. Nothing is waited for before the first question. most: people in the first
-        picture that are looked for; 1: those that the detector finds at once."""
+        """Start the process. Nothing is waited for before the first question. most: people that are followed
+        at once."""
         self.tasks = tuple(tasks)
         self._name = " and ".join(f"'{task.name}'" for task in tasks)
         context = multiprocessing.get_context("spawn")
@@ -71,20 +70,18 @@ class CameraProcess:
         return infos
 
     def people(self) -> list[list[Person]]:
-        """Return everybody in the first pictures, by camera; the second question. Raises ``CameraError``."""
+        """Return everybody in the first pictures, by camera; the second question, where one person is
+        followed. Raises ``CameraError``."""
         people: list[list[Person]] = self._answer("people")
         return people
 
-    def order(self, orders: Sequence[Sequence[Order]]) -> None:
-        """Look at the next picture, where each person is said to be: by camera, by person.
-
-        The number of people is that of the first orders.
-        """
+    def order(self, orders: bytes) -> None:
+        """Look at the next picture, by a line of orders; empty: there are none."""
         with contextlib.suppress(ConnectionError):  # it has ended: messages() tells why
             self._pipe.send(orders)
 
-    def messages(self) -> list[list[bytes]] | None:
-        """Return the heat maps of the next picture ordered, by camera, by person; None at the end. Raises
+    def messages(self) -> list[bytes] | None:
+        """Return the heat maps of the next picture ordered, by camera, of everybody; None at the end. Raises
         ``CameraError`` when the camera failed or its process has died."""
         return None if self._has_ended else self._answer("messages")
 
@@ -132,28 +129,25 @@ def _serve(tasks: Sequence[CameraTask], most: int, pipe: Connection) -> None:
     infos = [source.info for source in sources]
     pipe.send(("opened", infos))
     detector, network = PersonDetector(), load_network(tasks[0].network)
+    cameras = FollowingCameras([task.name for task in tasks], network, detector, most)
     shown = [_pictures(task, source) for task, source in zip(tasks, sources, strict=True)]
-    followers: list[list[PersonFollower]] = []
-    for instant in zip(*shown, strict=False):
+    done = 0
+    for done, instant in enumerate(zip(*shown, strict=False), start=1):
         pictures = [picture for _, _, picture in instant]
-        if not followers:
-            pipe.send(("people", [_people(detector, picture, most) for picture in pictures]))
-        orders: Sequence[Sequence[Order]] = pipe.recv()
-        followers = followers or [[PersonFollower(network, detector) for _ in each] for each in orders]
-        maps = _looked_at(network, pictures, followers, orders)
+        if most == 1 and done == 1:
+            pipe.send(("people", [detector.people(picture) for picture in pictures]))
+        cameras.take(pipe.recv())
         messages = [
-            [_message(task, each, *instant_of(task, info, index, time_ns)) for each in of_camera]
-            for task, info, (index, time_ns, _), of_camera in zip(tasks, infos, instant, maps, strict=True)
+            messages_of(maps, task, *instant_of(task, info, index, time_ns))
+            for task, info, (index, time_ns, _), maps in zip(
+                tasks, infos, instant, cameras.heat_maps(pictures), strict=True
+            )
         ]
         pipe.send(("messages", messages))
-    if not followers:
+    if not done:
         names = ", ".join(f"{task.place} has no picture after the first {task.skip}" for task in tasks)
         pipe.send(("error", names))
     pipe.send(("end", None))
-
-
-def _people(detector: PersonDetector, picture: Picture, most: int) -> list[Person]:
-    return detector.people(picture) if most == 1 else detector.everybody(picture, most)
 
 
 @contextlib.contextmanager
@@ -171,27 +165,6 @@ def _pictures(task: CameraTask, source: PictureSource) -> Iterator[tuple[int, in
         for index, (time_ns, picture) in enumerate(source):
             if index >= task.skip:
                 yield index, time_ns, picture
-
-
-def _looked_at(
-    network: PoseNetwork,
-    pictures: Sequence[Picture],
-    followers: Sequence[Sequence[PersonFollower]],
-    orders: Sequence[Sequence[Order]],
-) -> list[list[CameraHeatMaps | None]]:
-    """Return the maps of every camera and person; of somebody in two pictures both from one look."""
-    maps = [
-        [None if o.joined is not None else f.heat_maps(picture, o) for f, o in zip(by, of, strict=True)]
-        for picture, by, of in zip(pictures, followers, orders, strict=True)
-    ]
-    for camera, of_camera in enumerate(orders):
-        for person, order in enumerate(of_camera):
-            if order.joined is not None and order.region is not None:
-                other = 1 - camera
-                maps[camera][person], maps[other][person] = joined_heat_maps(
-                    network, pictures[camera], pictures[other], order.region, order.joined
-                )
-    return maps
 
 
 def instant_of(task: CameraTask, info: PictureInfo, index: int, time_ns: int) -> tuple[int, int]:

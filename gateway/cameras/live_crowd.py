@@ -1,9 +1,9 @@
-"""The people before served cameras: who comes, where they are, and who has gone.
+"""The people before cameras, live and in films: who comes, where they are, and who has gone.
 
 Cameras find people by themselves, and follow each under a number of their own, until they are told where the
 pose of all cameras will have them. Somebody whose hips and shoulders meet in the world by the rays of
 several cameras is tracked; once the lengths of the body are known, the person has entered, and gets a number
-that nobody had before.
+that nobody had before. Whoever has just left, and could have come back by now, is known by these lengths.
 """
 
 from __future__ import annotations
@@ -20,23 +20,25 @@ from devices.cameras.heat_map_messages import (
     encode_heat_maps,
     quantised,
 )
-from devices.cameras.orders import Square, encode_orders
 from devices.link import Chunk
 from gateway.body.camera import Camera, project
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.cameras.people_matching import matched_people
-from gateway.cameras.steering import AHEAD
 from gateway.frames import CameraHeatMaps, FloatArray, HeatMapFrame
 from gateway.reconstruction.video.crowd import VideoCrowd
-from gateway.reconstruction.video.keypoint_set import load_keypoint_set
+from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
+from gateway.reconstruction.video.leading import Leading
 from gateway.reconstruction.video.networks.imported import person_of
 from gateway.reconstruction.video.networks.person_detector import Person
 from gateway.reconstruction.video.networks.weights import keypoint_set_of
-from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor, worn_person
+from gateway.reconstruction.video.proportions import standard_lengths
+from gateway.reconstruction.video.reconstructor import VideoReconstructor, worn_person
 from gateway.reconstruction.video.region import peaks
-from gateway.reconstruction.video.regions import person_region, square_of
 from gateway.sources.heat_maps import Instant, Instants, heat_maps_of
 
+AHEAD = 2
+"""Pictures from a pose to those that its orders are for: while the pose of one instant is found, the cameras
+look at the next one, and what comes out does not depend on who is faster."""
 _TRIAL = 40
 """Instants after which somebody who has not entered is given up."""
 _LEAST_TRIAL = 0.5
@@ -46,6 +48,14 @@ _LEAST_SEEN = 0.3
 likely each must be, too. One camera alone holds whoever has left to somebody else on the same rays."""
 _ABSENT = 20
 """Instants in a row in which somebody is not there, before they have left."""
+_LONGEST_AWAY_NS = 5_000_000_000
+"""Since somebody was last seen, for them to be known again."""
+_ALIKE = 0.04
+"""Median ratio, less 1, between the lengths of two bodies that may be one person's."""
+_APART = 2.0
+"""Times by which the lengths of everybody else who is away must differ more."""
+_FASTEST, _STRIDE = 3.0, 1.0
+"""m/s and m: how far somebody may be from where they were last seen."""
 _NEAR = 0.5
 """Distance of hips, in sizes of a person, under which a camera shows somebody who is known already."""
 _NOWHERE = np.zeros((2, 3))
@@ -61,11 +71,30 @@ class _Tracked:
     """By camera's row, the number under which it had found the person."""
     number: int | None = None
     """None: on trial."""
+    person: KeypointSet | None = None
+    """Of the lengths that were measured; None: on trial."""
     instants: int = 0
     there: int = 0
     """Instants in which the person was there."""
     absent: int = 0
     """Instants since."""
+    seen: list[list[bytes]] = field(default_factory=list)
+    """While on trial: of every instant, a message a camera."""
+    hips: FloatArray | None = None
+    """(3,) m, where the person was last there."""
+    seen_ns: int = 0
+    """When that was."""
+
+
+@dataclass(frozen=True)
+class _Away:
+    """Somebody who has left."""
+
+    number: int
+    person: KeypointSet
+    hips: FloatArray
+    """(3,) m, where they were last seen."""
+    seen_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +102,13 @@ class CrowdInstant:
     """What one instant brought."""
 
     entered: Mapping[int, WornSuit]
-    """By number, with the lengths that were measured."""
-    chunks: Mapping[int, bytes]
-    """By number, the heat maps of all cameras without the other people: messages as of a single person."""
+    """By number, with the lengths that were measured. A number that has left before: they are back."""
+    before: Mapping[int, Sequence[Sequence[bytes]]]
+    """Of those who entered, the messages of every instant from when they were found to this one."""
+    messages: Mapping[int, Sequence[bytes]]
+    """By number, a message a camera with the heat maps without the other people: as of a single person."""
+    absent: Mapping[int, int]
+    """By the numbers in ``messages``, instants since somebody was last there; they may be waited for."""
     left: Sequence[int]
     orders: bytes
     """For the cameras."""
@@ -88,6 +121,8 @@ class CrowdCounts:
     refused: Counter[str] = field(default_factory=Counter)
     """unknown_camera, other_network, too_late."""
     entered: int = 0
+    """For the first time."""
+    returned: int = 0
     left: int = 0
     given_up: int = 0
     """On trial, for no person was there, or one who is tracked already."""
@@ -104,9 +139,11 @@ class LiveCrowd:
         keypoints = load_keypoint_set(keypoint_set_of(video.network))
         self._names = keypoints.names
         self._crowd = VideoCrowd(video.cameras, keypoints, 0)
+        self._leading = Leading(video.cameras, keypoints.names, video.pairs)
         self._tracked: list[_Tracked] = []  # in the order of the crowd's people
         self._receivers: dict[str, HeatMapReceiver] = {}
         self._instants = Instants(len(video.cameras))
+        self._away: list[_Away] = []
         self._tracked_ever = 0
         self.counts = CrowdCounts()
 
@@ -114,6 +151,12 @@ class LiveCrowd:
     def present(self) -> list[int]:
         """Numbers of the people who are there."""
         return [each.number for each in self._tracked if each.number is not None]
+
+    def solved_by(self, number: int, solver: VideoReconstructor) -> None:
+        """Take somebody to be where ``solver`` has them, which gets the ``chunks`` of that number: nobody is
+        tracked twice."""
+        (index,) = [k for k, each in enumerate(self._tracked) if each.number == number]
+        self._crowd.solved_by(index, solver)
 
     def receive(self, chunk: Chunk) -> Iterator[CrowdInstant]:
         """Yield the instants that a chunk completes."""
@@ -129,6 +172,12 @@ class LiveCrowd:
             for instant in self._instants.complete():
                 yield self._advanced(instant)
 
+    def take(self, messages: Sequence[bytes]) -> CrowdInstant:
+        """Return what one instant of a film brings: of every camera all that it tells of one picture."""
+        received = {row: HeatMapReceiver().receive(each) for row, each in enumerate(messages)}
+        first = received[0][0]
+        return self._advanced(Instant(first.sequence, first.time_ns, received))
+
     def statistics(self) -> dict[str, object]:
         """Return counters for the health message."""
         unreadable: Counter[str] = Counter()
@@ -141,34 +190,49 @@ class LiveCrowd:
             "begun_anew": self._instants.begun_anew,
             "present": self.present,
             "entered": self.counts.entered,
+            "returned": self.counts.returned,
             "left": self.counts.left,
             "given_up": self.counts.given_up,
         }
 
     def _advanced(self, instant: Instant) -> CrowdInstant:
+        expected = self._crowd.expected_after(1)
         masked = self._crowd.masked([self._frame_of(each, instant) for each in self._tracked])
-        poses = self._crowd.follow(masked)
-        for each, pose, frame in zip(self._tracked, poses, masked, strict=True):
-            is_there = self._is_there(pose, frame)
-            each.instants += 1
-            each.there += is_there
-            each.absent = 0 if is_there else each.absent + 1
-        chunks = {
-            each.number: self._encoded(frame, instant)
-            for each, frame in zip(self._tracked, masked, strict=True)
-            if each.number is not None
-        }
-        left = self._parted(poses)
+        self._crowd.follow(masked)
+        messages = {}
+        for each, points, frame in zip(self._tracked, expected, masked, strict=True):
+            self._note(each, points, frame)
+            encoded = self._encoded(frame, instant)
+            if each.number is None:
+                each.seen.append(encoded)
+            else:
+                messages[each.number] = encoded
+        absent = {each.number: each.absent for each in self._tracked if each.number is not None}
+        left = self._parted()
         entered = self._entered()
         self._admit(instant)
-        return CrowdInstant(entered, chunks, left, self._orders(instant.sequence))
+        return CrowdInstant(
+            {number: worn_person(person, self._video) for number, (person, _) in entered.items()},
+            {number: seen for number, (_, seen) in entered.items()},
+            messages, absent, left, self._orders(instant.sequence),
+        )  # fmt: skip
 
-    def _is_there(self, pose: VideoPose, frame: HeatMapFrame) -> bool:
-        """Return whether two cameras at least show enough of the keypoints where the pose has them."""
+    def _note(self, each: _Tracked, points: FloatArray | None, frame: HeatMapFrame) -> None:
+        """Keep whether somebody is where their keypoints are expected, (n_keypoints, 3) m."""
+        is_there = points is not None and self._is_there(points, frame)
+        each.instants += 1
+        each.there += is_there
+        each.absent = 0 if is_there else each.absent + 1
+        if is_there and points is not None:
+            each.hips, each.seen_ns = self._hips(points), frame.time_ns
+
+    def _is_there(self, points: FloatArray, frame: HeatMapFrame) -> bool:
+        """Return whether two cameras at least show enough of the keypoints where they are expected,
+        (n_keypoints, 3) m."""
         seen = np.zeros(len(self._names), dtype=np.int64)
         for camera, maps in zip(self._cameras, frame.cameras, strict=True):
             if maps is not None:
-                seen += _likelihood_at(maps, project(camera, pose.keypoints)) >= _LEAST_SEEN
+                seen += _likelihood_at(maps, project(camera, points)) >= _LEAST_SEEN
         return float((seen >= 2).mean()) >= _LEAST_SEEN
 
     def _frame_of(self, tracked: _Tracked, instant: Instant) -> HeatMapFrame:
@@ -182,7 +246,7 @@ class LiveCrowd:
             )
         return HeatMapFrame(instant.sequence, instant.time_ns, tuple(maps))
 
-    def _encoded(self, frame: HeatMapFrame, instant: Instant) -> bytes:
+    def _encoded(self, frame: HeatMapFrame, instant: Instant) -> list[bytes]:
         """Return the messages of all cameras, those too that sent nothing, so that nobody waits for them."""
         time_ns = instant.messages[min(instant.messages)][0].time_ns
         messages = (
@@ -193,17 +257,17 @@ class LiveCrowd:
             )
             for camera, maps in zip(self._cameras, frame.cameras, strict=True)
         )  # fmt: skip
-        return b"".join(map(encode_heat_maps, messages))
+        return [encode_heat_maps(message) for message in messages]
 
-    def _parted(self, poses: Sequence[VideoPose]) -> list[int]:
+    def _parted(self) -> list[int]:
         """Forget whoever is gone, is somebody else, or was nobody; return the numbers of those who had
         entered."""
         gone = [
             index
-            for index, (each, pose) in enumerate(zip(self._tracked, poses, strict=True))
+            for index, (each, tracker) in enumerate(zip(self._tracked, self._crowd.trackers, strict=True))
             if index in self._crowd.same_as
             or (each.number is not None and each.absent >= _ABSENT)
-            or (each.number is not None and not np.isfinite(pose.keypoints).all())
+            or (each.number is not None and tracker.pose is None)
             or (each.number is None and each.instants >= _TRIAL)
         ]
         left = []
@@ -215,18 +279,52 @@ class LiveCrowd:
             else:
                 self.counts.left += 1
                 left.append(each.number)
+                self._remember(each)
         return left
 
-    def _entered(self) -> dict[int, WornSuit]:
-        """Number those whose trial has ended well."""
+    def _remember(self, each: _Tracked) -> None:
+        """Keep somebody who leaves, so that they are known when they come back."""
+        if each.number is not None and each.person is not None and each.hips is not None:
+            self._away.append(_Away(each.number, each.person, each.hips, each.seen_ns))
+
+    def _entered(self) -> dict[int, tuple[KeypointSet, list[list[bytes]]]]:
+        """Number those whose trial has ended well; return each as measured, and what was seen on trial."""
         entered = {}
-        for each, person in zip(self._tracked, self._crowd.people, strict=True):
+        for each, tracker in zip(self._tracked, self._crowd.trackers, strict=True):
             is_person = each.there >= _LEAST_TRIAL * each.instants
-            if each.number is None and person.tracker.is_settled and is_person:
-                self.counts.entered += 1
-                each.number = self.counts.entered
-                entered[each.number] = worn_person(person.person, self._video)
+            if each.number is None and tracker.is_settled and is_person:
+                each.number, each.person = self._numbered(each, tracker.person)
+                entered[each.number] = each.person, each.seen
+                each.seen = []
         return entered
+
+    def _numbered(self, each: _Tracked, person: KeypointSet) -> tuple[int, KeypointSet]:
+        """Return the number and the lengths of somebody new, or who is back."""
+        back = self._known_again(each, person)
+        if back is None:
+            self.counts.entered += 1
+            return self.counts.entered, person
+        self.counts.returned += 1
+        self._away.remove(back)
+        return back.number, back.person
+
+    def _known_again(self, each: _Tracked, person: KeypointSet) -> _Away | None:
+        """Return who of those who are away somebody on trial is; None: nobody, or it may be either of two."""
+        if each.hips is None:
+            return None
+        self._away = [away for away in self._away if each.seen_ns - away.seen_ns <= _LONGEST_AWAY_NS]
+        near = [
+            away
+            for away in self._away
+            if np.linalg.norm(each.hips - away.hips)
+            <= _STRIDE + 1e-9 * _FASTEST * (each.seen_ns - away.seen_ns)
+        ]
+        unlike = [_unlike(person, away.person) for away in near]
+        if not near or min(unlike) > _ALIKE:
+            return None
+        first, *others = sorted(unlike)
+        is_sure = not others or others[0] > _APART * first
+        return near[unlike.index(first)] if is_sure else None
 
     def _admit(self, instant: Instant) -> None:
         """Begin to track those whom several cameras have found, and nobody is known to be."""
@@ -243,7 +341,9 @@ class LiveCrowd:
                 if person is one
             }
             self._tracked_ever += 1
-            self._tracked.append(_Tracked(self._tracked_ever, own))
+            newcomer = _Tracked(self._tracked_ever, own)
+            newcomer.seen.append(self._encoded(self._frame_of(newcomer, instant), instant))
+            self._tracked.append(newcomer)
             self._crowd.enter()
 
     def _found(self, row: int, instant: Instant) -> list[tuple[Person, int]]:
@@ -263,8 +363,7 @@ class LiveCrowd:
 
     def _is_known(self, camera: Camera, person: Person) -> bool:
         """Return whether somebody who is tracked is where a camera shows a person."""
-        for each in self._crowd.people:
-            expected = each.expected
+        for expected in self._crowd.expected_after(1):
             if expected is not None:
                 apart = np.linalg.norm(project(camera, self._hips(expected)) - person.hips)
                 if apart < _NEAR * person.radius:
@@ -278,18 +377,15 @@ class LiveCrowd:
 
     def _orders(self, sequence: int) -> bytes:
         """Return where everybody whose pose is known will be ``AHEAD`` pictures later."""
-        by_camera: dict[str, dict[int, Square | None]] = {camera.name: {} for camera in self._cameras}
-        for each, person in zip(self._tracked, self._crowd.people, strict=True):
-            for camera, square in self._squares(person):
-                by_camera[camera][each.ordered_number] = square
-        return encode_orders(sequence + AHEAD, by_camera)
+        expected = zip(self._tracked, self._crowd.expected_after(AHEAD), strict=True)
+        people = {each.ordered_number: points for each, points in expected if points is not None}
+        return self._leading.orders(sequence + AHEAD, people)
 
-    def _squares(self, person: VideoReconstructor) -> Iterator[tuple[str, Square | None]]:
-        expected = person.expected_after(AHEAD)
-        if expected is None:
-            return
-        for camera in self._cameras:
-            yield camera.name, square_of(person_region(camera, expected, self._names))
+
+def _unlike(person: KeypointSet, other: KeypointSet) -> float:
+    """Return the median ratio, less 1, between the lengths of the parts of two bodies."""
+    ratios = standard_lengths(person) / standard_lengths(other)
+    return float(np.nanmedian(np.abs(np.log(ratios))))
 
 
 def _likelihood_at(maps: CameraHeatMaps, pixels: FloatArray) -> FloatArray:

@@ -1,14 +1,16 @@
-"""The people in the pictures of one served camera: found by the detector, followed by their heat maps, and
-led by what the gateway tells of where the poses of all cameras will have them."""
+"""The people in the pictures of one camera: found by the detector, followed by their heat maps, and led by
+where the poses of all cameras will have them."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from devices.cameras.heat_map_messages import FOUND_BY_CAMERA
-from devices.cameras.orders import CameraOrders, Square
+from devices.cameras.orders import CameraOrders, Joined, Square, read_orders
+from gateway.cameras.stitching import joined_heat_maps
 from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.reconstruction.video.networks.network import Picture, PoseNetwork
 from gateway.reconstruction.video.networks.person_detector import Person
@@ -24,32 +26,54 @@ _UNTOLD = 150
 """Pictures after which somebody is left whom no gateway took for a person."""
 
 
-class Detector(Protocol):
+Picture_contra = TypeVar("Picture_contra", contravariant=True)
+"""A picture, or what stands for one."""
+
+
+class Network(Protocol[Picture_contra]):
+    """What makes heat maps of one person."""
+
+    @property
+    def keypoints(self) -> tuple[str, ...]:
+        """Names of the maps."""
+
+    def heat_maps(self, picture: Picture_contra, region: PersonRegion) -> CameraHeatMaps:
+        """Return the maps of the one person that ``region`` shows."""
+
+
+class Detector(Protocol[Picture_contra]):
     """What finds people."""
 
-    def people(self, picture: Picture, window: PersonRegion | None = None) -> list[Person]:
+    def people(self, picture: Picture_contra, window: PersonRegion | None = None) -> list[Person]:
         """Return the people of a picture, or of one part of it, the likeliest first."""
 
-    def windows(self, picture: Picture) -> list[PersonRegion | None]:
+    def everybody(self, picture: Picture_contra, most: int) -> list[Person]:
+        """Return as ``people`` does, and those whom somebody nearer outshines in the whole; it takes long."""
+
+    def windows(self, picture: Picture_contra) -> list[PersonRegion | None]:
         """Return parts in which people are found whom somebody nearer outshines in the whole; None: the
         whole."""
 
 
-class PeopleFollower:
+class PeopleFollower(Generic[Picture_contra]):
     """Keeps a region for each person from picture to picture."""
 
-    def __init__(self, network: PoseNetwork, detector: Detector, most: int) -> None:
+    def __init__(
+        self, network: Network[Picture_contra], detector: Detector[Picture_contra], most: int
+    ) -> None:
         """Follow nobody yet. most: people at once; one alone has the number 0, whoever tells."""
         self._network, self._detector, self._most = network, detector, most
         self._regions: dict[int, PersonRegion | None] = {}
         """By number; None: in no picture, until told otherwise."""
         self._since: dict[int, int] = {}  # by number of our own, the picture in which the person was found
+        self._joined: dict[int, Joined] = {}
         self._last: FloatArray | None = None
         self._pictures = self._looks = self._found = self._ordered_at = 0
 
     def take(self, orders: CameraOrders) -> None:
         """Follow whom the gateway names where it says, and nobody else by a number of the gateway's."""
         self._ordered_at = self._pictures
+        self._joined = dict(orders.joined)
         ordered = {number: _region_of(square) for number, square in orders.squares.items()}
         if self._most == 1:
             ordered = {0: ordered.get(0, self._regions.get(0))}
@@ -62,13 +86,13 @@ class PeopleFollower:
         }
         self._regions = ordered | kept
 
-    def heat_maps(self, picture: Picture) -> dict[int, CameraHeatMaps | None]:
+    def heat_maps(self, picture: Picture_contra) -> dict[int, CameraHeatMaps | None]:
         """Return the maps of everybody who is followed, by number; None of one who is not seen any more."""
         self._look(picture)
         self._pictures += 1
         seen: dict[int, CameraHeatMaps | None] = {}
         for number, region in list(self._regions.items()):
-            if region is None:
+            if region is None or number in self._joined:
                 continue
             maps = self._network.heat_maps(picture, region)
             after = region_of_maps(maps, self._network.keypoints)
@@ -79,9 +103,18 @@ class PeopleFollower:
                 del self._regions[number]
         return seen
 
-    def _look(self, picture: Picture) -> None:
+    def joined(self) -> list[tuple[int, PersonRegion, Joined]]:
+        """Return of everybody for whom a neighbour's picture is needed, too, number, region and neighbour."""
+        return [
+            (number, region, neighbour)
+            for number, neighbour in self._joined.items()
+            if (region := self._regions.get(number)) is not None
+        ]
+
+    def _look(self, picture: Picture_contra) -> None:
         """Begin to follow whom the detector finds beside those who are followed."""
         if self._pictures - self._ordered_at > _SILENT:
+            self._joined = {}
             self._regions = {
                 number: region
                 for number, region in self._regions.items()
@@ -99,15 +132,21 @@ class PeopleFollower:
             return
         if any(self._regions.values()) and self._pictures % _LOOK_EVERY:
             return
-        windows = self._detector.windows(picture)
-        window = windows[self._looks % len(windows)]
-        self._looks += 1
-        for person in self._detector.people(picture, window):
+        for person in self._newcomers(picture):
             if len(self._regions) < self._most and not _is_among(person.hips, self._regions):
                 number = FOUND_BY_CAMERA + self._found
                 self._found += 1
                 self._regions[number] = person.region
                 self._since[number] = self._pictures
+
+    def _newcomers(self, picture: Picture_contra) -> list[Person]:
+        """Return whom the detector finds: at first anywhere, then in one part of the picture after the
+        other."""
+        self._looks += 1
+        if self._looks == 1:
+            return self._detector.everybody(picture, self._most)
+        windows = self._detector.windows(picture)
+        return self._detector.people(picture, windows[self._looks % len(windows)])
 
     def _nearest(self, people: list[Person]) -> list[Person]:
         """Return the one nearest to who was lost last, else the likeliest."""
@@ -115,6 +154,41 @@ class PeopleFollower:
         if last is None:
             return people[:1]
         return sorted(people, key=lambda person: float(np.linalg.norm(person.hips - last)))[:1]
+
+
+class FollowingCameras:
+    """The cameras of one process: each follows by itself, and two side by side see somebody who is partly in
+    either picture together."""
+
+    def __init__(
+        self, names: Sequence[str], network: PoseNetwork, detector: Detector[Picture], most: int
+    ) -> None:
+        """names: of the cameras, one or two. most: people at once."""
+        self._network = network
+        self._followers = {name: PeopleFollower(network, detector, most) for name in names}
+
+    def take(self, line: bytes) -> None:
+        """Follow as a line of orders says; what is none changes nothing."""
+        for name, follower in self._followers.items():
+            if orders := read_orders(line, name):
+                follower.take(orders)
+
+    def heat_maps(self, pictures: Sequence[Picture]) -> list[dict[int, CameraHeatMaps | None]]:
+        """Return by camera the maps of everybody, by number; None of one who is not seen any more."""
+        names = list(self._followers)
+        seen = [
+            follower.heat_maps(picture)
+            for follower, picture in zip(self._followers.values(), pictures, strict=True)
+        ]
+        for row, follower in enumerate(self._followers.values()):
+            for number, region, neighbour in follower.joined():
+                if neighbour.camera in names:
+                    other = names.index(neighbour.camera)
+                    affine = np.reshape(neighbour.affine, (2, 3))
+                    seen[row][number], seen[other][number] = joined_heat_maps(
+                        self._network, pictures[row], pictures[other], region, affine
+                    )
+        return seen
 
 
 def _region_of(square: Square | None) -> PersonRegion | None:

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from devices.cameras.pictures import CameraError
 from gateway.body.camera import Camera, project
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.initial import nearest_to_rays
@@ -21,25 +20,13 @@ _MOST_UNEQUAL = 1.6
 """Largest over smallest of the sizes that cameras show one person in: 1.0 to 1.35 where it is one."""
 
 
-def people_in_common(
-    cameras: Sequence[Camera], people: Sequence[Sequence[Person]], wanted: int | None
-) -> list[list[PersonRegion | None]]:
-    """Return, by person and camera, the regions of the ``wanted`` people of a first picture whose hips and
-    shoulders meet in the world, those whom most cameras agree upon first; None: everybody.
-
-    None in the place of a region: the camera does not show the person. One person is always given, though it
-    be nobody. Raises ``CameraError`` when there are fewer than are wanted.
-    """
-    found = [
-        [None if person is None else person.region for person in chosen]
-        for chosen in itertools.islice(matched_people(cameras, people, first_surely=False), wanted)
-    ]
-    if wanted is not None and 1 < wanted != len(found):
-        raise CameraError(
-            f"--people {wanted}: {len(found)} seen by two cameras or more in the first pictures; begin "
-            "where all of them are in sight (--offset), or take --people all"
-        )
-    return found or [[None] * len(cameras)]
+def person_in_common(
+    cameras: Sequence[Camera], people: Sequence[Sequence[Person]]
+) -> list[PersonRegion | None]:
+    """Return by camera the region of the one person whose hips and shoulders meet in the world and whom most
+    cameras agree upon; None: the camera does not show them."""
+    chosen = next(matched_people(cameras, people, first_surely=False), (None,) * len(cameras))
+    return [None if person is None else person.region for person in chosen]
 
 
 def matched_people(

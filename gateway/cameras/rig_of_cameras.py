@@ -1,25 +1,32 @@
-"""All cameras of a capture, in step: processes started and checked against each other, people chosen and
+"""All cameras of a film, in step: processes started and checked against each other, people found and
 followed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Self, TypeVar
+from typing import Protocol, Self, TypeVar
 
+from devices.cameras.orders import encode_orders
 from devices.cameras.pictures import CameraError, PictureInfo
-from gateway.body.camera import Camera
+from gateway.body.skeleton import VideoSetUp
 from gateway.cameras.camera_process import CameraProcess, CameraTask
-from gateway.cameras.people_matching import people_in_common
-from gateway.cameras.person_follower import Order
-from gateway.cameras.steering import AHEAD, Orders, Steering
-from gateway.reconstruction.video.keypoint_set import KeypointSet
-from gateway.reconstruction.video.networks.person_detector import MOST_PEOPLE
+from gateway.cameras.live_crowd import AHEAD, CrowdInstant, LiveCrowd
+from gateway.cameras.people_matching import person_in_common
+from gateway.cameras.steering import Steering
+from gateway.reconstruction.video.regions import square_of
 
 T = TypeVar("T")
 _RATES_DIFFER = 0.002
 _COUNTS_DIFFER = 2
 """Pictures by which synchronised files may differ in length."""
+
+
+class Follows(Protocol):
+    """Who the people are, and where the cameras are to look for them."""
+
+    def take(self, messages: Sequence[bytes]) -> CrowdInstant:
+        """Return what one instant brings: of every camera all that it tells of one picture."""
 
 
 @dataclass(frozen=True)
@@ -28,34 +35,30 @@ class RigOptions:
 
     must_agree: bool = True
     """Raise ``CameraError`` for files of different rates and lengths."""
-    people: int | None = 1
-    """To be followed; None: everybody whom two cameras or more see in the first picture."""
-    joined: tuple[tuple[int, int], ...] = ()
-    """Cameras whose pictures are put together where a person is in both, by their place in the order."""
+    people: int = 1
+    """To be followed at once. One is chosen in the first pictures, and kept to the end; several come and
+    go."""
 
 
 class CameraRig:
-    """``with CameraRig(cameras, tasks, keypoints) as rig: for messages in rig: …``"""
+    """``with CameraRig(video, tasks) as rig: for instant in rig: …``"""
 
     def __init__(
-        self,
-        cameras: Sequence[Camera],
-        tasks: Sequence[CameraTask],
-        keypoints: KeypointSet,
-        options: RigOptions | None = None,
+        self, video: VideoSetUp, tasks: Sequence[CameraTask], options: RigOptions | None = None
     ) -> None:
-        """Start a process for each camera. cameras: calibrated, for the pictures as they are; tasks: in the
-        same order; keypoints: of the network."""
-        self._cameras, self._tasks, self._keypoints = cameras, tasks, keypoints
+        """Start a process for each camera, one for two whose pictures may be put together. video: with
+        cameras calibrated for the pictures as they are; tasks: in the same order."""
+        self._video, self._tasks = video, tasks
         self._options = options or RigOptions()
-        paired = {row for pair in self._options.joined for row in pair}
+        paired = {row for pair in video.pairs for row in pair}
         alone = [(row,) for row in range(len(tasks)) if row not in paired]
-        self._rows: list[tuple[int, ...]] = [*self._options.joined, *alone]
-        most = 1 if self._options.people == 1 else MOST_PEOPLE
+        self._rows: list[tuple[int, ...]] = [*video.pairs, *alone]
+        most = self._options.people
         self._processes = [CameraProcess([tasks[row] for row in rows], most) for rows in self._rows]
-        self._steering: Steering
-        self._first: Orders = []
-        self.n_people = 0
+        self.people: Follows = (
+            Steering(video) if self._options.people == 1 else LiveCrowd(video, self._options.people)
+        )
+        self._first = b""
         self.rate_hz = 0.0
         self.count: int | None = None
         """Pictures that every camera has; None: live."""
@@ -71,22 +74,15 @@ class CameraRig:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def __iter__(self) -> Iterator[list[list[bytes]]]:
-        """Yield the messages of every instant, by person, in the order of the cameras, until the first camera
-        ends."""
+    def __iter__(self) -> Iterator[CrowdInstant]:
+        """Yield what every instant brings, until the first camera ends."""
         self._order(self._first)
-        unknown = [[Order() for _ in range(self.n_people)] for _ in self._cameras]
         for _ in range(1, AHEAD):
-            self._order(unknown)
+            self._order(b"")
         while (messages := self._messages()) is not None:
-            masked = self._steering.take(messages)
-            self._order(self._steering.orders())
-            yield masked
-
-    @property
-    def same_as(self) -> Mapping[int, int]:
-        """People who turned out to be another one, with that one."""
-        return self._steering.same_as
+            instant = self.people.take(messages)
+            self._order(instant.orders)
+            yield instant
 
     def close(self) -> None:
         """End all processes."""
@@ -100,26 +96,30 @@ class CameraRig:
         self.rate_hz = infos[0].rate_hz
         counts = [info.count - task.skip for info, task in zip(infos, self._tasks, strict=True) if info.count]
         self.count = min(counts) if counts else None
+        if self._options.people == 1:
+            self._first = self._chosen()
+
+    def _chosen(self) -> bytes:
+        """Return orders for the first pictures: the one person whom most cameras agree upon."""
         seen = self._by_camera([process.people() for process in self._processes])
-        regions = people_in_common(self._cameras, seen, self._options.people)
-        self.n_people = len(regions)
-        self._first = [
-            [Order(region is not None or self.n_people > 1, region) for region in of_camera]
-            for of_camera in zip(*regions, strict=True)
-        ]
-        self._steering = Steering(self._cameras, self._keypoints, self.n_people, self._options.joined)
+        regions = person_in_common(self._video.cameras, seen)
+        squares = {
+            camera.name: {} if region is None else {0: square_of(region)}
+            for camera, region in zip(self._video.cameras, regions, strict=True)
+        }
+        return encode_orders(0, squares)
 
-    def _order(self, orders: Orders) -> None:
-        for process, rows in zip(self._processes, self._rows, strict=True):
-            process.order([orders[row] for row in rows])
+    def _order(self, orders: bytes) -> None:
+        for process in self._processes:
+            process.order(orders)
 
-    def _messages(self) -> list[list[bytes]] | None:
-        """Return the next messages, by person and camera; None at the end."""
+    def _messages(self) -> list[bytes] | None:
+        """Return the next messages, by camera; None at the end."""
         answers = [process.messages() for process in self._processes]
         whole = [answer for answer in answers if answer is not None]
         if len(whole) < len(answers):
             return None
-        return [list(each) for each in zip(*self._by_camera(whole), strict=True)]
+        return self._by_camera(whole)
 
     def _by_camera(self, answers: Sequence[Sequence[T]]) -> list[T]:
         """Return answers of processes as one list in the order of the cameras."""

@@ -6,17 +6,17 @@ import contextlib
 import selectors
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from devices.cameras.heat_map_messages import HeatMapReceiver, encode_heat_maps
-from devices.cameras.orders import LONGEST, CameraOrders, read_orders
+from devices.cameras.orders import LONGEST
 from devices.cameras.pictures import CameraError, Picture, open_pictures
 from gateway.cameras.camera_process import CameraTask, instant_of, messages_of
-from gateway.cameras.people_follower import PeopleFollower
+from gateway.cameras.people_follower import FollowingCameras
 from gateway.reconstruction.video.networks.network import load_network
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
 from gateway.recording.reading import open_recording
@@ -63,14 +63,16 @@ class Sink(Protocol):
         """Hand over what is waiting, and end."""
 
 
-def serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None = None, people: int = 1) -> None:
-    """Serve a camera until it ends, or Ctrl-C. Raises ``CameraError``.
+def serve(
+    tasks: Sequence[CameraTask], sink: Sink, speed: float, begin_s: float | None = None, people: int = 1
+) -> None:
+    """Serve a camera, or two side by side, until one ends, or Ctrl-C. Raises ``CameraError``.
 
-    begin_s: when a file begins, seconds since the epoch; None: when there is somebody to take it. people:
+    begin_s: when files begin, seconds since the epoch; None: when there is somebody to take them. people:
     that are followed at once.
     """
-    is_recorded = Path(task.place).suffix == RECORDING
-    source = _Recorded(task) if is_recorded else _LookedAt(task, people)
+    is_recorded = Path(tasks[0].place).suffix == RECORDING
+    source = _Recorded(tasks[0]) if is_recorded else _LookedAt(tasks, people)
     with contextlib.closing(source), contextlib.closing(sink), contextlib.suppress(KeyboardInterrupt):
         if begin_s is not None:
             time.sleep(max(0.0, begin_s - time.time()))
@@ -80,30 +82,39 @@ def serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None = No
         for time_ns, message in source:
             if not source.is_live and speed > 0:
                 time.sleep(max(0.0, begun + time_ns * 1e-9 / speed - time.monotonic()))
-            if orders := read_orders(sink.newest_line(), task.name):
-                source.take(orders)
+            source.take(sink.newest_line())
             sink.offer(message())
 
 
 class _LookedAt:
-    """Pictures of a camera through the network."""
+    """Pictures of cameras through the network."""
 
-    def __init__(self, task: CameraTask, people: int) -> None:
-        self._task = task
-        self._source = open_pictures(task.place, task.rate_hz)
-        self._follower = PeopleFollower(load_network(task.network), PersonDetector(), people)
-        self.take = self._follower.take
-        self.is_live = self._source.info.count is None
-        self.close = self._source.close
+    def __init__(self, tasks: Sequence[CameraTask], people: int) -> None:
+        self._tasks = tasks
+        self._sources = [open_pictures(task.place, task.rate_hz) for task in tasks]
+        self._cameras = FollowingCameras(
+            [task.name for task in tasks], load_network(tasks[0].network), PersonDetector(), people
+        )
+        self.take = self._cameras.take
+        self.is_live = self._sources[0].info.count is None
+
+    def close(self) -> None:
+        """Let go of files and devices."""
+        for source in self._sources:
+            source.close()
 
     def __iter__(self) -> Iterator[tuple[int, Callable[[], bytes]]]:
         """Yield when, ns after the first one, and what makes the messages then."""
-        for index, (time_ns, picture) in enumerate(self._source):
-            instant = instant_of(self._task, self._source.info, index, time_ns)
-            yield time_ns, partial(self._messages, picture, *instant)
+        for index, shown in enumerate(zip(*self._sources, strict=False)):
+            yield shown[0][0], partial(self._messages, index, shown)
 
-    def _messages(self, picture: Picture, sequence: int, time_ns: int) -> bytes:
-        return messages_of(self._follower.heat_maps(picture), self._task, sequence, time_ns)
+    def _messages(self, index: int, shown: Sequence[tuple[int, Picture]]) -> bytes:
+        seen = self._cameras.heat_maps([picture for _, picture in shown])
+        # Two cameras of one process are of one instant: clocks of their own would tell them apart.
+        instant = instant_of(self._tasks[0], self._sources[0].info, index, shown[0][0])
+        return b"".join(
+            messages_of(maps, task, *instant) for maps, task in zip(seen, self._tasks, strict=True)
+        )
 
 
 class _Recorded:
@@ -120,7 +131,7 @@ class _Recorded:
             known = ", ".join(sorted({each.camera for each in every})) or "none"
             raise CameraError(f"{task.place} has no camera '{task.name}' (its cameras: {known})")
 
-    def take(self, orders: CameraOrders) -> None:
+    def take(self, line: bytes) -> None:
         """Do nothing: whom it shows was decided when it was made."""
 
     def close(self) -> None:

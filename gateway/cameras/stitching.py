@@ -14,41 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.cameras.opencv import cv2
-from gateway.body.camera import Camera, project
 from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.reconstruction.video.networks.network import Picture, PoseNetwork
 from gateway.reconstruction.video.region import PersonRegion
-
-WHOLE = 0.97
-"""Share of the keypoints in a picture, from which nothing is missing in it."""
-_LEAST_GAIN = 0.06
-"""Share of the keypoints that the second camera must add."""
-_FEWEST = 6
-"""Keypoints from which an affine map follows."""
-
-
-def in_picture(camera: Camera, pixels: FloatArray) -> NDArray[np.bool_]:
-    """Return (n,) whether pixels (n, 2) lie in the camera's picture; NaN does not."""
-    with np.errstate(invalid="ignore"):
-        inside = (pixels >= 0) & (pixels <= (camera.width - 1, camera.height - 1))
-    return np.asarray(inside.all(axis=1), dtype=np.bool_)
-
-
-def joining(first: Camera, second: Camera, keypoints: FloatArray) -> FloatArray | None:
-    """Return (2, 3) pixel of the second camera to pixel of the first, about a person with keypoints (n, 3) m.
-
-    None where the first sees all of the person, or the second adds too little.
-    """
-    here, there = project(first, keypoints), project(second, keypoints)
-    inside, beside = in_picture(first, here), in_picture(second, there)
-    if inside.mean() >= WHOLE or (beside & ~inside).mean() < _LEAST_GAIN:
-        return None
-    known = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
-    if known.sum() < _FEWEST:
-        return None
-    given = np.column_stack([there[known], np.ones(known.sum())])
-    solution, _, rank, _ = np.linalg.lstsq(given, here[known], rcond=None)
-    return np.ascontiguousarray(solution.T) if rank == 3 else None
 
 
 def joined_heat_maps(

@@ -251,6 +251,13 @@ def serve_camera(
         int,
         typer.Option(min=1, max=8, help="At once; more than 1 for a gateway with the setting 'people'."),
     ] = 1,
+    beside: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=PLACE",
+            help="A second camera side by side with it: one picture of both, where somebody is in either.",
+        ),
+    ] = None,
     at: Annotated[
         str | None,
         typer.Option(metavar="HH:MM:SS", help="When a file begins, UTC; else with the first receiver."),
@@ -271,18 +278,19 @@ def serve_camera(
     Every gateway that connects gets the messages from then on. In its configuration the link is
     url: tcp://HOST:PORT, or mqtt:///TOPIC at its own broker, with carries: heat_maps. Files of several
     cameras keep together when all begin --at the same time. Of a recording the heat maps are served as they
-    are, without pictures or network.
+    are, without pictures or network. Two cameras side by side (--beside) are put together where the rig of
+    the gateway names them so: `video solve --join --fit-subject` writes it.
     """
     from gateway.cameras.broker_outlet import BrokerOutlet
     from gateway.cameras.serving import Outlet, listening
 
     require_video_extra()
     begin_s = None if at is None else moment(at, time.time())
-    task = CameraTask(name, place, network, rate)
+    tasks = [CameraTask(each, at_place, network, rate) for each, at_place in _beside(name, place, beside)]
     if mqtt is None:
         with listening(host, port) as listener:
             _print_line(f"camera '{name}' at tcp://{host}:{listener.getsockname()[1]}; Ctrl-C ends")
-            _serve(task, Outlet(listener), speed, begin_s, people)
+            _serve(tasks, Outlet(listener), speed, begin_s, people)
         return
     broker, _, number = mqtt.rpartition(":")
     if not broker or not number.isdigit() or not 0 < int(number) < 1 << 16:
@@ -295,13 +303,28 @@ def serve_camera(
         protocol=protocol,
     )  # fmt: skip
     _print_line(f"camera '{name}' on topic {topic} of {mqtt}; Ctrl-C ends")
-    _serve(task, BrokerOutlet(settings, topic), speed, begin_s, people)
+    _serve(tasks, BrokerOutlet(settings, topic), speed, begin_s, people)
 
 
-def _serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None, people: int) -> None:
+def _beside(name: str, place: str, neighbour: str | None) -> list[tuple[str, str]]:
+    """Return names and places of a camera and its neighbour. Raises ``GatewayError``."""
+    from gateway.cameras.serving import RECORDING
+
+    if neighbour is None:
+        return [(name, place)]
+    other, _, there = neighbour.partition("=")
+    if not other or not there or other == name:
+        raise GatewayError(f"--beside {neighbour}: NAME=PLACE is wanted, such as cam02=v4l:///dev/video1")
+    for each in (place, there):
+        if Path(each).suffix == RECORDING:
+            raise GatewayError(f"--beside: {each} is a recording, which has no pictures to put together")
+    return [(name, place), (other, there)]
+
+
+def _serve(tasks: Sequence[CameraTask], sink: Sink, speed: float, begin_s: float | None, people: int) -> None:
     from gateway.cameras.serving import serve
 
-    serve(task, sink, speed, begin_s, people)
+    serve(tasks, sink, speed, begin_s, people)
     done = sink.served
     typer.echo(f"{done.messages} pictures, {done.sent} messages sent, {done.skipped} left out")
 

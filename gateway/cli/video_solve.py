@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -15,7 +16,7 @@ from rich.table import Table
 
 from devices.cameras.keypoint_files import is_keypoints
 from gateway.body.camera import Camera
-from gateway.body.skeleton import WornSuit
+from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.calibration.cameras_file import axis_of, load_cameras
 from gateway.cameras.camera_process import CameraTask
 from gateway.cli.export import export
@@ -34,27 +35,23 @@ from gateway.cli.video import (
     people_of,
 )
 from gateway.errors import GatewayError
-from gateway.reconstruction.video.networks.weights import weights_of
+from gateway.reconstruction.video.networks.person_detector import MOST_PEOPLE
 from gateway.recording.exporters.formats import FORMATS, check_formats
 from gateway.support.extras import require_video_extra
 from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:
     from gateway.cameras.consistency import Consistency
+    from gateway.cameras.filmed_people import Instants
     from gateway.cameras.rig_of_cameras import RigOptions
     from gateway.recording.video import SolvedVideo
-
-
-Instants = list[list[bytes]]
-"""Messages of one person: of every instant, one a camera."""
 
 
 class Capture(NamedTuple):
     """What the cameras saw."""
 
-    cameras: Sequence[Camera]
-    network: str
-    """Which keypoints there are: a network, or the set of another program."""
+    video: VideoSetUp
+    """The cameras, and which keypoints there are: those of a network, or the set of another program."""
     people: list[Instants]
     rate_hz: float
 
@@ -117,25 +114,28 @@ def solve(
         )
     target = _target(files, output, to or [])
     _places(target, wanted or 1, force=force)
-    if all(is_keypoints(each.rpartition("=")[2]) for each in files):
+    if _are_keypoints(files):
+        if join:
+            raise GatewayError("--join puts pictures together: keypoints of other programs have none")
         capture = _imported(files, cameras, pictures, wanted, frames)
     else:
         require_video_extra()
         seen, tasks = matched(files, cameras, pictures)
-        options = RigOptions(not unequal, wanted, joined_of(join or [], seen))
-        found, rate_hz = looked_at(seen, tasks, frames, options, is_shown=not as_json)
-        capture = Capture(seen, pictures.network, found, rate_hz)
-    people_seen = _sorted_out(capture, synchronise=synchronise, is_number_known=wanted is not None)
+        video = VideoSetUp(seen, pictures.network, joined_of(join or [], seen))
+        options = RigOptions(not unequal, wanted or MOST_PEOPLE)
+        capture = Capture(video, *looked_at(video, tasks, frames, options, is_shown=not as_json))
+    people_seen = _sorted_out(capture, wanted, synchronise=synchronise)
     known = None if subject is None else load_rig(str(subject))
     outcomes = []
     for messages, place, person in _people(people_seen, target, fit_subject, force=force):
-        checked = consistency_of(capture.cameras, messages)
+        checked = consistency_of(capture.video.cameras, messages)
         checked.refuse_wrong(cameras)
-        suit = video_suit(capture.cameras, capture.network, messages, known)
+        suit = video_suit(capture.video.cameras, capture.video.network, messages, known)
+        suit = replace(suit, video=capture.video)
         if person is not None:
             _write_subject(person, suit, force=force)
         done = _written(messages, capture.rate_hz, suit, place, offline=offline, is_shown=not as_json)
-        outcomes.append(_outcome(done, checked, len(capture.cameras)))
+        outcomes.append(_outcome(done, checked, len(capture.video.cameras)))
         if not as_json:
             _print_outcome(outcomes[-1])
         if to:
@@ -144,15 +144,24 @@ def solve(
         typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
 
 
-def _sorted_out(capture: Capture, *, synchronise: bool, is_number_known: bool) -> Sequence[Instants]:
-    """Return the people of a capture: cameras brought into step where that is asked, and only real people
-    where nobody said how many there are."""
-    found = capture.people
-    if len(capture.cameras) < 2:
+def _sorted_out(capture: Capture, wanted: int | None, *, synchronise: bool) -> Sequence[Instants]:
+    """Return the people of a capture, with the cameras brought into step where that is asked."""
+    _report_how_many(len(capture.people), wanted)
+    if len(capture.video.cameras) < 2:
         typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
-    if synchronise:
-        found = _in_step(capture.cameras, found)
-    return found if is_number_known else _real_people(found, capture.cameras)
+    return _in_step(capture.video.cameras, capture.people) if synchronise else capture.people
+
+
+def _are_keypoints(files: Sequence[str]) -> bool:
+    """Return whether keypoints of another program are given in the place of pictures. Raises
+    ``GatewayError`` where some are and some are not."""
+    places = [each.rpartition("=")[2] for each in files]
+    others = [place for place in places if not is_keypoints(place)]
+    if others and len(others) < len(places):
+        raise GatewayError(
+            f"{others[0]}: has no keypoints (a .json, or a folder with such files), the other cameras have"
+        )
+    return not others
 
 
 def _in_step(cameras: Sequence[Camera], captured: Sequence[Instants]) -> list[Instants]:
@@ -184,19 +193,19 @@ def _imported(
     cameras = tuple(known[name] for name in places)
     read = [read_keypoints(Path(place)) for place in places.values()]
     skipped = offsets_of(pictures.offset or [], list(known))
-    network, captured = keypoint_messages(cameras, read, skipped, pictures.rate, wanted)
-    return Capture(cameras, network, [each[:frames] for each in captured], pictures.rate)
+    network, captured = keypoint_messages(cameras, read, skipped, pictures.rate, wanted or MOST_PEOPLE)
+    return Capture(VideoSetUp(cameras, network), [each[:frames] for each in captured], pictures.rate)
 
 
-def _real_people(captured: list[Instants], cameras: Sequence[Camera]) -> list[Instants]:
-    """Return those whose rays meet; the first one in any case. Two cameras may each have seen something
-    else."""
-    from gateway.cameras.consistency import consistency_of
-
-    real = [messages for messages in captured[1:] if consistency_of(cameras, messages).is_one_person]
-    if left := len(captured) - 1 - len(real):
-        typer.echo(f"note: {left} in the first pictures seen by too few cameras, and left out", err=True)
-    return [captured[0], *real]
+def _report_how_many(found: int, wanted: int | None) -> None:
+    """Say where fewer people were found than asked for. Raises ``GatewayError`` where nobody was."""
+    if not found:
+        raise GatewayError(
+            "nobody was found by rays of two cameras that meet, for 20 pictures: does the calibration belong "
+            "to these cameras, in this order, and are they synchronised?"
+        )
+    if wanted is not None and found != wanted:
+        typer.echo(f"note: {found} recordings: so many came before the cameras, not {wanted}", err=True)
 
 
 def _people(
@@ -256,7 +265,7 @@ def _write_subject(path: Path, suit: WornSuit, *, force: bool) -> None:
 
 
 def looked_at(
-    cameras: Sequence[Camera],
+    video: VideoSetUp,
     tasks: Sequence[CameraTask],
     frames: int | None,
     options: RigOptions,
@@ -264,27 +273,21 @@ def looked_at(
     is_shown: bool = True,
 ) -> tuple[list[Instants], float]:
     """Return by person the heat maps of every instant, a message a camera; and the rate in Hz."""
+    from gateway.cameras.filmed_people import FilmedPeople
     from gateway.cameras.rig_of_cameras import CameraRig
-    from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 
-    keypoints = load_keypoint_set(weights_of(tasks[0].network).keypoint_set)
     with (
         progress_bar("looking at pictures", is_shown=is_shown) as progress,
-        CameraRig(cameras, tasks, keypoints, options) as rig,
+        CameraRig(video, tasks, options) as rig,
     ):
         if rig.count is None and frames is None:
             raise GatewayError("a live camera has no end: say with --frames how many pictures to take")
         total = min(each for each in (rig.count, frames) if each is not None)
-        captured: list[Instants] = [[] for _ in range(rig.n_people)]
+        filmed = FilmedPeople(video, rig.rate_hz)
         for done, instant in enumerate(itertools.islice(rig, total), start=1):
-            for messages, each in zip(captured, instant, strict=True):
-                messages.append(each)
+            filmed.add(instant)
             progress(done, total)
-        doubles = rig.same_as
-        if doubles and is_shown:
-            listed = ", ".join(f"{double + 1} as {first + 1}" for double, first in sorted(doubles.items()))
-            typer.echo(f"note: one person was found more than once ({listed}): counted once", err=True)
-        return [each for k, each in enumerate(captured) if k not in doubles], rig.rate_hz
+        return filmed.people, rig.rate_hz
 
 
 def _outcome(done: SolvedVideo, checked: Consistency, n_cameras: int) -> dict[str, Any]:
@@ -314,11 +317,13 @@ def _print_outcome(outcome: dict[str, Any]) -> None:
 
 
 def _keypoint_figures(done: SolvedVideo, n_cameras: int) -> dict[str, dict[str, float]]:
-    """Return figures by keypoint; none of an offline solution, whose poses are not followed one by one."""
-    if not done.poses:
+    """Return figures by keypoint, of the instants in which the person was there; none of an offline solution,
+    whose poses are not followed one by one."""
+    poses = [pose for pose in done.poses if np.isfinite(pose.keypoints).all()]
+    if not poses:
         return {}
-    lost = np.array([pose.tracking != 0 for pose in done.poses])
-    likelihood = np.array([pose.likelihood for pose in done.poses]) / n_cameras
+    lost = np.array([pose.tracking != 0 for pose in poses])
+    likelihood = np.array([pose.likelihood for pose in poses]) / n_cameras
     return {
         name: {
             "tracked_percent": round(100 * float(1 - lost[:, k].mean()), 1),

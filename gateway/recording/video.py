@@ -21,7 +21,7 @@ from gateway.body.camera_entries import entry_of
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.body.subject_file import subject_content
 from gateway.errors import GatewayError
-from gateway.frames import HeatMapFrame
+from gateway.frames import HeatMapFrame, Status
 from gateway.pipeline import Pipeline
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
@@ -111,8 +111,11 @@ def video_subject(name: str, suit: WornSuit) -> dict[str, Any]:
         name, keypoint_set_of(suit.video.network), body_of(suit.skeleton), suit.skeleton,
         suit.markers, {}, {},
     )  # fmt: skip
-    cameras = [entry_of(camera) for camera in suit.video.cameras]
-    return {**content, "video": {"network": suit.video.network, "cameras": cameras}}
+    cameras = suit.video.cameras
+    video: dict[str, Any] = {"network": suit.video.network, "cameras": [entry_of(each) for each in cameras]}
+    if suit.video.pairs:
+        video["joined"] = [[cameras[a].name, cameras[b].name] for a, b in suit.video.pairs]
+    return {**content, "video": video}
 
 
 def write_solved_video(
@@ -181,11 +184,15 @@ def write_offline_video(
         suit.video.cameras, keypoints, observed, VideoOptions(is_measured=True), advanced
     )
     spent = time.process_time() - began
+    shown = [index for index, each in enumerate(observed) if any(maps is not None for maps in each.cameras)]
+    there = range(shown[0], shown[-1] + 1) if shown else range(0)
     chunks = video_chunks(messages, rate_hz)[: len(messages)]
     attachments = attachments_of(video_settings(subject, rate_hz), suit)
     with DerivedRecordingWriter(target, _session(target, OFFLINE), attachments, _BEGUN_NS) as writer:
-        for chunk, frame in zip(chunks, frames, strict=True):
-            add_solved(writer, chunk, CARRIES, [replace(frame, time_ns=chunk.arrived_ns)])
+        for index, (chunk, frame) in enumerate(zip(chunks, frames, strict=True)):
+            # Tracking backwards would hold the first pose of somebody who was not there yet.
+            is_known = index in there and bool((frame.status != Status.MISSING).any())
+            add_solved(writer, chunk, CARRIES, [replace(frame, time_ns=chunk.arrived_ns)] if is_known else [])
     return SolvedVideo(target, len(frames), suit.markers.labels, (), {}, 1e3 * spent / max(len(frames), 1))
 
 

@@ -11,6 +11,7 @@ from devices.link import Chunk, Link
 from gateway.body.skeleton import WornSuit
 from gateway.cameras.live_crowd import LiveCrowd
 from gateway.errors import SettingsError
+from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.service.further_bodies import HandedLink, beside
 from gateway.settings import GatewaySettings
 from gateway.sources.link_settings import LinkSettings
@@ -23,8 +24,10 @@ LINK = "cameras"
 _LONGEST_END_S = 5.0
 """For the services of people to say that they end."""
 
-Serve = Callable[[GatewaySettings, WornSuit, Sequence[Link]], Coroutine[Any, Any, None]]
-"""Runs a person's service until it is cancelled."""
+Serve = Callable[
+    [GatewaySettings, WornSuit, Sequence[Link]], tuple[VideoReconstructor, Coroutine[Any, Any, None]]
+]
+"""Makes a person's service: what solves them in it, and what runs it until it is cancelled."""
 
 
 class PeopleBeforeCameras:
@@ -46,15 +49,15 @@ class PeopleBeforeCameras:
         self.broker_port = settings.mqtt.port
         """Of the broker that the first service has started or found."""
         self._present: dict[int, tuple[HandedLink, asyncio.Task[None]]] = {}
-        self._ending: set[asyncio.Task[None]] = set()
+        self._ending: dict[int, asyncio.Task[None]] = {}
 
     def take(self, chunk: Chunk) -> None:
         """Take heat maps of any camera."""
         for instant in self.crowd.receive(chunk):
             for number, suit in instant.entered.items():
                 self._begin(number, suit)
-            for number, data in instant.chunks.items():
-                self._present[number][0].hand(Chunk(data, chunk.arrived_ns, LINK))
+            for number, messages in instant.messages.items():
+                self._present[number][0].hand(Chunk(b"".join(messages), chunk.arrived_ns, LINK))
             for number in instant.left:
                 self._end(number)
             self._send(instant.orders)
@@ -64,7 +67,7 @@ class PeopleBeforeCameras:
         for number in list(self._present):
             self._end(number)
         if self._ending:
-            await asyncio.wait(self._ending, timeout=_LONGEST_END_S)
+            await asyncio.wait(self._ending.values(), timeout=_LONGEST_END_S)
 
     def statistics(self) -> dict[str, object]:
         """Return counters for the health message."""
@@ -73,16 +76,22 @@ class PeopleBeforeCameras:
     def _begin(self, number: int, suit: WornSuit) -> None:
         settings = self._settings_of(number)
         link = HandedLink(LINK)
-        serving = asyncio.create_task(self._serve(settings, suit, [link]), name=settings.gateway)
+        solver, service = self._serve(settings, suit, [link])
+        self.crowd.solved_by(number, solver)
+        serving = asyncio.create_task(_after(self._ending.pop(number, None), service), name=settings.gateway)
         self._present[number] = link, serving
         log.info("person %d has entered: '%s'", number, settings.gateway)
 
     def _end(self, number: int) -> None:
         _, serving = self._present.pop(number)
         serving.cancel()
-        self._ending.add(serving)
-        serving.add_done_callback(self._ending.discard)
+        self._ending[number] = serving
+        serving.add_done_callback(lambda done: self._forget(number, done))
         log.info("person %d has left", number)
+
+    def _forget(self, number: int, done: asyncio.Task[None]) -> None:
+        if self._ending.get(number) is done:
+            del self._ending[number]
 
     def _settings_of(self, number: int) -> GatewaySettings:
         first = next(link for link in self._settings.links if link.carries == CARRIES)
@@ -91,3 +100,14 @@ class PeopleBeforeCameras:
         # without their places, all would stand on one spot
         mqtt = settings.mqtt.model_copy(update={"include": settings.mqtt.include | {"position"}})
         return settings.model_copy(update={"people": None, "mqtt": mqtt})
+
+
+async def _after(former: asyncio.Task[None] | None, service: Coroutine[Any, Any, None]) -> None:
+    """Run the service of somebody who is back once the one before has taken its leave: they share topics."""
+    try:
+        if former is not None:
+            await asyncio.wait([former])
+    except asyncio.CancelledError:
+        service.close()
+        raise
+    await service

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import functools
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
@@ -30,7 +30,7 @@ from gateway.calibration.sensor_control import SensorControl
 from gateway.contract.balances import Balance
 from gateway.contract.messages import BridgeInfo
 from gateway.errors import GatewayError
-from gateway.frames import SkeletonFrame
+from gateway.frames import HeatMapFrame, SkeletonFrame
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.makers import MakersModules
 from gateway.modules.module_log import ModuleLog, UnknownModules
@@ -42,6 +42,7 @@ from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder, in_turn
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, LOAD_EVENT, Pipeline, Worn
+from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.recording.control import RecordingControl
 from gateway.recording.shelf import Shelf
 from gateway.service.accounting import balances_of
@@ -126,7 +127,7 @@ class Service:
         self.people: PeopleBeforeCameras | None = None
         """Several, who come and go before cameras."""
         if settings.people is not None:
-            self.people = PeopleBeforeCameras(settings, suit, _serve_person, self._orders.send)
+            self.people = PeopleBeforeCameras(settings, suit, _person_service, self._orders.send)
 
     def _build_outputs(self, suit: WornSuit, info: BridgeInfo) -> None:
         """Build what poses go to, and what watches how the gateway fares."""
@@ -530,7 +531,8 @@ class Service:
         modules = self.pipeline.modules.records.values()
         return (
             f" from {self._unknown_modules.known} of the rig's {len(self._unknown_modules.names)} modules; "
-            f"packets received {sum(each.received for each in modules)}, lost {sum(each.lost for each in modules)}"
+            f"packets received {sum(each.received for each in modules)}, "
+            f"lost {sum(each.lost for each in modules)}"
         )
 
     async def _report(self) -> None:
@@ -554,11 +556,16 @@ class Service:
                 log.warning("%s", news)
 
 
-async def _serve_person(settings: GatewaySettings, suit: WornSuit, links: Sequence[Link]) -> None:
-    """The service of somebody before cameras, of whom nothing stays at the broker."""
+def _person_service(
+    settings: GatewaySettings, suit: WornSuit, links: Sequence[Link]
+) -> tuple[VideoReconstructor, Coroutine[Any, Any, None]]:
+    """Return the service of somebody before cameras, of whom nothing stays at the broker: what solves them in
+    it, and what runs it."""
     service = Service(settings, suit, links)
     service.mqtt.leaves_nothing = True
-    await _run_beside(service)
+    stage = service.pipeline.stage_of(HeatMapFrame)
+    assert isinstance(stage, CameraStage)
+    return stage.reconstructor, _run_beside(service)
 
 
 async def _run_beside(service: Service) -> None:

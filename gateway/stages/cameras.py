@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from devices.cameras.orders import encode_orders
 from gateway.contract.balances import Balance
 from gateway.frames import HeatMapFrame, SkeletonFrame
+from gateway.reconstruction.video.leading import Leading
 from gateway.reconstruction.video.reconstructor import VideoPose, video_reconstructor
-from gateway.reconstruction.video.regions import square_of
 from gateway.stages.stage import StageContext
 
 
@@ -16,7 +15,10 @@ class CameraStage:
     """Instants are put together by their source; their poses are smoothed, so that they come a few later."""
 
     def __init__(self, context: StageContext) -> None:
+        video = context.suit.video
+        assert video is not None
         self.reconstructor = video_reconstructor(context.suit)
+        self._leading = Leading(video.cameras, self.reconstructor.keypoints.names, video.pairs)
         self.last: VideoPose | None = None
         """How the last instant was explained."""
         self._settling = 0
@@ -40,12 +42,8 @@ class CameraStage:
         """Return where the cameras will see the person in their next picture; nobody while none is known."""
         if self.last is None:
             return b""
-        is_known = any(region is not None for region in self.last.regions)
-        cameras = zip(self.reconstructor.cameras, self.last.regions, strict=True)
-        return encode_orders(
-            self.last.sequence + 1,
-            {camera.name: {0: square_of(region)} if is_known else {} for camera, region in cameras},
-        )
+        points = self.reconstructor.tracker.expected_after(1)
+        return self._leading.orders(self.last.sequence + 1, {} if points is None else {0: points})
 
     def statistics(self) -> Mapping[str, object]:
         """Return nothing: the source tells what became of the messages."""

@@ -4,9 +4,15 @@ import pytest
 
 pytest.importorskip("cv2")
 
-from gateway.cli.video import joined_of, people_of
+from dataclasses import replace
+
+from gateway.body.rig import load_rig
+from gateway.body.subject_file import write_subject
+from gateway.cli.video import _beside, joined_of, people_of
 from gateway.cli.video_solve import _places
 from gateway.errors import GatewayError
+from gateway.recording.video import video_subject, video_suit
+from tests import seen_walk
 from tests.ring_of_cameras import CAMERAS
 
 
@@ -34,3 +40,28 @@ def test_nobodys_recording_is_replaced_unasked(tmp_path):
     with pytest.raises(GatewayError, match=r"walk_2\.mcap exists: .* --force"):
         _places(target, 2, force=False)
     assert len(_places(target, 2, force=True)) == 2
+
+
+def test_a_camera_beside_another_is_named_with_its_place():
+    assert _beside("a", "v4l:///dev/video0", None) == [("a", "v4l:///dev/video0")]
+    assert _beside("a", "left.mp4", "b=right.mp4") == [("a", "left.mp4"), ("b", "right.mp4")]
+    for text in ("right.mp4", "=right.mp4", "b=", "a=right.mp4"):
+        with pytest.raises(GatewayError, match="NAME=PLACE is wanted"):
+            _beside("a", "left.mp4", text)
+    with pytest.raises(GatewayError, match="is a recording"):
+        _beside("a", "walk.mcap", "b=right.mp4")
+
+
+def test_cameras_side_by_side_stand_in_the_rig(tmp_path):
+    messages, _ = seen_walk.seen_walk(3)
+    suit = video_suit(seen_walk.CAMERAS, "full", messages)
+    suit = replace(suit, video=replace(suit.video, pairs=((2, 0),)))
+    path = tmp_path / "room.yaml"
+    write_subject(path, video_subject("room", suit))
+    text = path.read_text()
+    assert text.count("[ring2, ring0]") == 1
+    assert load_rig(str(path)).video.pairs == ((2, 0),)
+    for names in ("[ring2, ring9]", "[ring2, ring2]"):
+        path.write_text(text.replace("[ring2, ring0]", names))
+        with pytest.raises(GatewayError, match=r"video\.joined: 'ring[29]' is no camera, or stands"):
+            load_rig(str(path))

@@ -126,3 +126,35 @@ async def test_heat_maps_over_mqtt_come_out_as_poses(mosquitto, tmp_path, walk):
     assert [outlet.served.sent for outlet in outlets] == [N] * 3
     assert_is_walker(received, knee)
     assert service.statistics()["video"]["dropped"] == {}
+
+
+async def test_the_command_run_makes_poses_of_a_rig_of_cameras(mosquitto, tmp_path, walk, command):
+    """Cameras may serve before the gateway is there, and begin anew: the walk is shown until it is heard."""
+    instants, knee = walk
+    link = f"{{name: cameras, url: 'mqtt:///{CAMERA.format(camera='+')}', carries: heat_maps}}"
+    config = config_of(tmp_path, instants, link, mosquitto.port)
+    broker = MqttSettings(port=mosquitto.port)
+    outlets = [BrokerOutlet(broker, CAMERA.format(camera=c.name)) for c in CAMERAS]
+    process = command("run", "-c", config)
+    received = []
+
+    async def show():
+        while True:
+            for instant in instants:
+                for outlet, message in zip(outlets, instant, strict=True):
+                    outlet.offer(message)
+                await asyncio.sleep(0.05)
+
+    async with asyncio.timeout(240), PoseSubscriber(broker, "lab") as poses:
+        showing = asyncio.create_task(show())
+        async for pose in poses:
+            received.append(pose.pose)
+            if len(received) == 2 * N:
+                break
+        showing.cancel()
+    for outlet in outlets:
+        await asyncio.to_thread(outlet.close)
+    off = [np.linalg.norm(np.subtract(p.position["left_shank"], knee[p.seq])) for p in received[-N:]]
+    assert np.median(off) < 0.04
+    process.terminate()
+    assert await process.ended() == 0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -19,8 +19,8 @@ from gateway.frames import FloatArray, HeatMapFrame
 from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.masking import without_others
-from gateway.reconstruction.video.reconstructor import Tracking, VideoPose, VideoReconstructor
-from gateway.reconstruction.video.tracker import VideoOptions
+from gateway.reconstruction.video.reconstructor import VideoReconstructor
+from gateway.reconstruction.video.tracker import KeypointTracker, VideoOptions
 
 _SAME_PERSON_M = 0.2
 """Median distance of two people's keypoints of one name below which they are one person: the bodies of two
@@ -33,8 +33,37 @@ _SURER = 0.1
 """By which that share must be smaller for a person to be kept in the place of an earlier one."""
 
 
+@dataclass
+class _Followed:
+    """Somebody who is tracked."""
+
+    tracker: KeypointTracker
+    solver: VideoReconstructor | None = None
+    """Of whoever solves this person from what ``masked`` gives, and so tracks them anyway."""
+    sequence: int = -1
+    """Of the last instant."""
+    lost: float = 0.0
+    """Share of the keypoints, averaged."""
+
+    def follow(self, frame: HeatMapFrame) -> None:
+        """Track the person in one more instant, unless the solver knows them."""
+        self.sequence = frame.sequence
+        if self.solver is not None and self.solver.tracker.pose is not None:
+            self.tracker = self.solver.tracker
+        else:
+            self.tracker.track(frame.cameras)
+        self.lost += (self.tracker.lost - self.lost) / _MEMORY
+
+    def expected_after(self, instants: int) -> FloatArray | None:
+        """Return (n_keypoints, 3) m, so many instants after the last one; None: not known."""
+        behind = 0
+        if self.solver is not None and self.tracker is self.solver.tracker:
+            behind = max(0, self.sequence - self.solver.sequence)
+        return self.tracker.expected_after(instants + behind)
+
+
 class VideoCrowd:
-    """As many reconstructors as people. Sans-I/O and deterministic.
+    """As many trackers as people. Sans-I/O and deterministic.
 
     Somebody who was found twice, or something else that was taken for a person and led to one, ends on the
     same body as another, as does one whom the cameras no longer see; the one whose keypoints were lost more
@@ -48,63 +77,77 @@ class VideoCrowd:
         n_people: int,
         options: VideoOptions | None = None,
     ) -> None:
-        self._make = partial(VideoReconstructor, cameras, keypoints, options)
-        self.people = [self._make() for _ in range(n_people)]
+        self._cameras = tuple(cameras)
+        self._make = partial(KeypointTracker, cameras, keypoints, options or VideoOptions())
+        self._people = [_Followed(self._make()) for _ in range(n_people)]
         self.same_as: dict[int, int] = {}
         """People who turned out to be another one, with that one."""
-        self._lost = [0.0] * n_people
         self._instants_together: Counter[tuple[int, int]] = Counter()
 
-    def enter(self) -> VideoReconstructor:
+    @property
+    def trackers(self) -> list[KeypointTracker]:
+        """Of everybody, in their order."""
+        return [each.tracker for each in self._people]
+
+    def enter(self) -> None:
         """Add one more person, behind the others in the order."""
-        self.people.append(self._make())
-        self._lost.append(0.0)
-        return self.people[-1]
+        self._people.append(_Followed(self._make()))
 
     def leave(self, index: int) -> None:
         """Forget a person; those behind move up, and who is the same as whom is looked at anew."""
-        del self.people[index], self._lost[index]
+        del self._people[index]
         self.same_as.clear()
         self._instants_together.clear()
 
-    def update(self, frames: Sequence[HeatMapFrame]) -> list[VideoPose]:
-        """Return the poses of one instant: one frame of maps for every person, in the order of the start.
+    def solved_by(self, index: int, solver: VideoReconstructor) -> None:
+        """Take from now on, for where a person is, what ``solver`` knows, once it has found them.
+
+        Others feed it what ``masked`` gives of the instants to come, late or at once.
+        """
+        self._people[index].solver = solver
+
+    def update(self, frames: Sequence[HeatMapFrame]) -> None:
+        """Track everybody in one instant: one frame of maps for every person, in the order of the start.
 
         Raises ``GatewayError`` when their number is not that of the people.
         """
-        return self.follow(self.masked(frames))
+        self.follow(self.masked(frames))
 
-    def follow(self, masked: Sequence[HeatMapFrame]) -> list[VideoPose]:
-        """Return the poses of one instant by frames that ``masked`` gave."""
-        poses = [person.update(frame) for person, frame in zip(self.people, masked, strict=True)]
-        for index, pose in enumerate(poses):
-            share = float((pose.tracking == Tracking.LOST).mean())
-            self._lost[index] += (share - self._lost[index]) / _MEMORY
+    def follow(self, masked: Sequence[HeatMapFrame]) -> None:
+        """Track everybody in one instant by frames that ``masked`` gave."""
+        for person, frame in zip(self._people, masked, strict=True):
+            person.follow(frame)
         self._give_up_doubles()
-        return poses
+
+    def expected_after(self, instants: int) -> list[FloatArray | None]:
+        """Return by person (n_keypoints, 3) m, where they will be so many instants later; None: of one whose
+        pose is not known, or who is given up."""
+        return [
+            None if index in self.same_as else each.expected_after(instants)
+            for index, each in enumerate(self._people)
+        ]
 
     def _give_up_doubles(self) -> None:
-        places = {i: p for i, each in enumerate(self.people) if (p := each.expected) is not None}
-        left = [index for index in places if index not in self.same_as]
-        for first, second in itertools.combinations(left, 2):
+        places = {i: places for i, places in enumerate(self.expected_after(1)) if places is not None}
+        for first, second in itertools.combinations(places, 2):
             apart = float(np.median(np.linalg.norm(places[first] - places[second], axis=1)))
             pair = first, second
             self._instants_together[pair] = self._instants_together[pair] + 1 if apart < _SAME_PERSON_M else 0
             if self._instants_together[pair] >= _SAME_INSTANTS and not self.same_as.keys() & pair:
-                is_second_surer = self._lost[second] + _SURER < self._lost[first]
+                is_second_surer = self._people[second].lost + _SURER < self._people[first].lost
                 kept, given_up = (second, first) if is_second_surer else (first, second)
                 self.same_as[given_up] = kept
 
     def masked(self, frames: Sequence[HeatMapFrame]) -> list[HeatMapFrame]:
         """Return the frames of one instant, from each what is another person's taken out, and left and right
         put right; raises as ``update``."""
-        if len(frames) != len(self.people):
-            raise GatewayError(f"maps of {len(frames)} people for {len(self.people)} who are tracked")
-        expected = [None if i in self.same_as else each.expected for i, each in enumerate(self.people)]
+        if len(frames) != len(self._people):
+            raise GatewayError(f"maps of {len(frames)} people for {len(self._people)} who are tracked")
+        expected = self.expected_after(1)
         masked = [self._masked(frame, index, expected) for index, frame in enumerate(frames)]
         return [
             replace(frame, cameras=tuple(person.tracker.put_right(frame.cameras)))
-            for person, frame in zip(self.people, masked, strict=True)
+            for person, frame in zip(self._people, masked, strict=True)
         ]
 
     def _masked(self, frame: HeatMapFrame, index: int, expected: Sequence[FloatArray | None]) -> HeatMapFrame:
@@ -116,9 +159,8 @@ class VideoCrowd:
         others = [points for i, points in enumerate(expected) if i != index and points is not None]
         if own is None or not others:
             return frame
-        cameras = self.people[index].cameras
         maps = tuple(
             seen if seen is None else without_others(camera, seen, own, others)
-            for camera, seen in zip(cameras, frame.cameras, strict=True)
+            for camera, seen in zip(self._cameras, frame.cameras, strict=True)
         )
         return replace(frame, cameras=maps)

@@ -75,6 +75,8 @@ class VideoReconstructor:
         self.cameras = tuple(cameras)
         self.keypoints = keypoints
         self.tracker = KeypointTracker(cameras, keypoints, options or VideoOptions())
+        self.sequence = -1
+        """Of the last instant; -1: there was none."""
         self._smoothed = SmoothedPoses()
         self._lost = np.zeros(len(keypoints.names), dtype=bool)
 
@@ -94,18 +96,10 @@ class VideoReconstructor:
         """The keypoints on this person's body, as far as its lengths are known."""
         return self.tracker.person
 
-    @property
-    def expected(self) -> FloatArray | None:
-        """(n_keypoints, 3) m, where the keypoints will be in the next frame; None: no person is known."""
-        return self.expected_after(1)
-
-    def expected_after(self, frames: int) -> FloatArray | None:
-        """Return (n_keypoints, 3) m, where they will be so many frames later; None: no person is known."""
-        return None if self.tracker.pose is None else self.tracker.expected_after(frames)
-
     def update(self, frame: HeatMapFrame) -> VideoPose:
         """Return the pose of one instant. Without any maps the last pose is held; before the first, NaN."""
         sighting = self.tracker.track(frame.cameras)
+        self.sequence = frame.sequence
         pose = self.tracker.pose
         if pose is None:
             self._smoothed.reset()
@@ -117,6 +111,7 @@ class VideoReconstructor:
         tracking = np.where(sighting.lost, Tracking.LOST, np.where(self._lost, Tracking.RECOVERED, 0))
         self._lost = sighting.lost
         expected = self.tracker.expected_after(1)
+        assert expected is not None  # there is a pose
         return VideoPose(
             sequence=frame.sequence,
             time_ns=frame.time_ns,

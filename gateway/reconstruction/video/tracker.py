@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.geometry import quaternion
+from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Held
 from gateway.reconstruction.optical.tracking import rigid
 from gateway.reconstruction.video import initial, lattice, one_camera
@@ -126,8 +127,23 @@ class KeypointTracker:
         assert self.pose is not None
         return keypoint_places(self.body.model, self.pose.R, self.pose.root)
 
-    def expected_after(self, frames: int) -> FloatArray:
-        """Return (n_keypoints, 3) m, where they will be so many frames later, going on as they went."""
+    @property
+    def joints(self) -> FloatArray:
+        """(S, 3) m, of every segment the proximal one. Only with a pose."""
+        assert self.pose is not None
+        return kernels.places(self.body.model.parents, self.body.model.offsets, self.pose.R, self.pose.root)
+
+    @property
+    def lost(self) -> float:
+        """Share of the keypoints that the last instant did not show; 1 while no person is known."""
+        return 1.0 if self.pose is None else float((self._missed > 0).mean())
+
+    def expected_after(self, frames: int) -> FloatArray | None:
+        """Return (n_keypoints, 3) m, where they will be so many frames later, going on as they went; None: no
+        person is known."""
+        return None if self.pose is None else self._ahead(frames)
+
+    def _ahead(self, frames: int) -> FloatArray:
         if len(self._places) < 2:
             return self.places
         return self._places[-1] + frames * (self._places[-1] - self._places[-2])
@@ -136,7 +152,7 @@ class KeypointTracker:
         """Return the maps with left and right exchanged where a camera has taken them for each other."""
         if self.pose is None:
             return maps
-        return sides_put_right(self._models, maps, self.expected_after(1), self._pairs)
+        return sides_put_right(self._models, maps, self._ahead(1), self._pairs)
 
     def track(self, maps: CameraMaps) -> Sighting:
         """Find the person in one frame, and keep the pose."""
@@ -233,7 +249,7 @@ class KeypointTracker:
         wide = np.minimum(1 + self._missed, WIDEST).astype(np.float64)
         # one camera tells no depth: going on as it went, the body would leave for nowhere
         alone = sum(seen is not None for seen in maps) < 2
-        expected = self.places if alone else self.expected_after(1)
+        expected = self.places if alone else self._ahead(1)
         maps = sides_put_right(self._models, maps, expected, self._pairs)
         coarse = self._candidates(maps, expected, COARSE * wide, False)
         self.solve(coarse)

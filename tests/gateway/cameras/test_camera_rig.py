@@ -15,7 +15,7 @@ from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver, e
 from devices.cameras.pictures import CameraError, PictureInfo
 from gateway.body.camera import project
 from gateway.cameras.camera_process import CameraProcess, CameraTask
-from gateway.cameras.people_matching import people_in_common
+from gateway.cameras.people_matching import matched_people, person_in_common
 from gateway.cameras.rig_of_cameras import check_agreement
 from gateway.cameras.serving import Outlet
 from gateway.cli.video import moment
@@ -34,7 +34,7 @@ def test_the_person_that_all_cameras_see_is_taken_and_not_the_bystander():
     people = [[person(c, walker)] for c in CAMERAS]
     people[0].insert(0, person(CAMERAS[0], bystander, 0.99))
     people[1].insert(0, person(CAMERAS[1], bystander, 0.99))
-    (chosen,) = people_in_common(CAMERAS, people, 1)
+    chosen = person_in_common(CAMERAS, people)
     for c, region in zip(CAMERAS, chosen, strict=True):
         assert region is not None
         assert region.centre == pytest.approx(person(c, walker).hips)
@@ -43,27 +43,24 @@ def test_the_person_that_all_cameras_see_is_taken_and_not_the_bystander():
 def test_a_camera_without_the_person_is_left_out():
     people = [[person(c, (0.0, 0.0, 0.0))] for c in CAMERAS]
     people[2] = [person(CAMERAS[2], (1.0, -0.9, 0.0))]
-    (chosen,) = people_in_common(CAMERAS, people, 1)
+    chosen = person_in_common(CAMERAS, people)
     assert [region is None for region in chosen] == [False, False, True, False]
 
 
 def test_nobody_in_one_picture_only_is_nobody():
-    assert people_in_common(CAMERAS, [[], [], [person(CAMERAS[2], (0, 0, 0))], []], 1) == [[None] * 4]
+    assert person_in_common(CAMERAS, [[], [], [person(CAMERAS[2], (0, 0, 0))], []]) == [None] * 4
 
 
 def test_people_are_told_apart_whatever_order_the_cameras_see_them_in():
     places = [(0.4, 0.3, 0.0), (-0.6, -0.4, 0.0)]
     people = [[person(c, places[(n + k) % 2]) for k in range(2)] for n, c in enumerate(CAMERAS)]
     people[0].append(person(CAMERAS[0], (-1.5, 1.0, 0.0)))  # seen by nobody else
-    for wanted in (2, None):
-        found = people_in_common(CAMERAS, people, wanted)
-        assert len(found) == 2
-        for regions in found:
-            hips = [region.centre for region in regions]
-            place = min(places, key=lambda at: np.linalg.norm(hips[0] - person(CAMERAS[0], at).hips))
-            assert hips == [pytest.approx(person(c, place).hips) for c in CAMERAS]
-    with pytest.raises(CameraError, match="--people 3: 2 seen by two cameras"):
-        people_in_common(CAMERAS, people, 3)
+    found = list(matched_people(CAMERAS, people))
+    assert len(found) == 2
+    for chosen in found:
+        hips = [each.hips for each in chosen]
+        place = min(places, key=lambda at: np.linalg.norm(hips[0] - person(CAMERAS[0], at).hips))
+        assert hips == [pytest.approx(person(c, place).hips) for c in CAMERAS]
 
 
 def test_what_is_of_another_size_in_each_camera_is_nobody():
@@ -71,9 +68,9 @@ def test_what_is_of_another_size_in_each_camera_is_nobody():
     for camera, factor in ((0, 1.0), (1, 2.0)):
         false = person(CAMERAS[camera], (-0.6, -0.4, 0.0))
         people[camera].append(replace(false, radius=factor * false.radius))
-    assert len(people_in_common(CAMERAS, people, None)) == 1
+    assert len(list(matched_people(CAMERAS, people))) == 1
     people[1][1] = person(CAMERAS[1], (-0.6, -0.4, 0.0))
-    assert len(people_in_common(CAMERAS, people, None)) == 2
+    assert len(list(matched_people(CAMERAS, people))) == 2
 
 
 def infos(*rows):

@@ -133,7 +133,10 @@ def test_a_camera_whose_first_pictures_show_nobody_stays_in_step(tmp_path: Path)
         ('[{"image_id": "first", "keypoints": [1, 2, 3]}]', "has no number"),
         ('[{"image_id": 1, "keypoints": [1, 2, NaN]}]', "are no numbers"),
         ('{"people": []}', "nobody in any of 1 pictures"),
-        ('{"people": [{"pose_keypoints_2d": [1,2,3]}, {"pose_keypoints_2d": [1,2,3,4,5,6]}]}', "of 1 and 2"),
+        (
+            '{"people": [{"pose_keypoints_2d": [1,2,3]}, {"pose_keypoints_2d": [1,2,3,4,5,6]}]}',
+            "1 with 1 and 1 with 2 keypoints",
+        ),
     ],
 )
 def test_what_is_no_such_file_is_refused(tmp_path: Path, content: str, said: str) -> None:
@@ -145,23 +148,32 @@ def test_what_is_no_such_file_is_refused(tmp_path: Path, content: str, said: str
 
 @pytest.mark.timeout(600)
 def test_two_walkers_are_told_apart_and_found_where_they_are(tmp_path: Path) -> None:
-    """OpenPose's BODY_25; each camera lists the people in another order, and loses one for three pictures."""
+    """OpenPose's BODY_25; each camera lists the people in another order, one loses one for three pictures,
+    and the second comes later."""
     keypoint_set, layout = LAYOUTS[25]
     keypoints = load_keypoint_set(keypoint_set)
+    frames, late = 40, 8
     people = [
-        walking(keypoints, FRAMES, (-0.1, 0.6), (0.8, 0.0)),
-        walking(keypoints, FRAMES, (0.1, -0.6), (-0.8, 0.1), phase=1.0),
+        walking(keypoints, frames, (-0.1, 0.6), (0.8, 0.0)),
+        walking(keypoints, frames, (0.1, -0.6), (-0.8, 0.1), phase=1.0),
     ]
     read = []
     for c in range(len(CAMERAS)):
         pictures = []
-        for f in range(FRAMES):
+        for f in range(frames):
             order = people if (c + f) % 2 else people[::-1]
-            kept = [p for p in order if not (c == 1 and p is people[0] and 5 <= f < 8)]
+            lost = (people[0], c == 1 and 5 <= f < 8), (people[1], f < late)
+            kept = [p for p in order if not any(p is each and is_lost for each, is_lost in lost)]
             pictures.append([_found(person, c, f, layout, keypoints.names) for person in kept])
         read.append(read_keypoints(_folder(tmp_path / f"camera{c}", pictures)))
     network, captured = keypoint_messages(CAMERAS, read, {}, 60.0, 2)
-    assert (network, len(captured), len(captured[0])) == ("feet_24", 2, FRAMES)
+    assert (network, [len(each) for each in captured]) == ("feet_24", [frames, frames])
+    begun = [
+        next(f for f, each in enumerate(person) if any(heat_map_frame(f, each).cameras))
+        for person in captured
+    ]
+    assert begun[0] < 3
+    assert late <= begun[1] < late + 8
     places = []
     for messages in captured:
         reconstructor = VideoReconstructor(CAMERAS, keypoints)
@@ -174,10 +186,32 @@ def test_two_walkers_are_told_apart_and_found_where_they_are(tmp_path: Path) -> 
         assert max(errors) > 0.5
 
 
+def test_a_picture_of_another_network_is_named(tmp_path: Path) -> None:
+    folder = _folder(tmp_path / "a", [[np.ones((17 if f == 3 else 25, 3))] for f in range(8)])
+    with pytest.raises(FormatError, match=r"film2_3_keypoints\.json: 17 keypoints a person, 25 in most"):
+        read_keypoints(folder)
+
+
 def test_cameras_of_different_networks_are_refused(tmp_path: Path) -> None:
     read = [read_keypoints(_folder(tmp_path / str(n), [[np.ones((n, 3))]])) for n in (17, 25)]
     with pytest.raises(GatewayError, match="different networks"):
         keypoint_messages(CAMERAS[:2], read, {}, 60.0, 1)
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"), [(3.0, "are the pictures larger"), (1e-3, "are shares of the picture")]
+)
+def test_what_are_no_pixels_of_the_calibrated_pictures_is_one_error(tmp_path, factor, said) -> None:
+    keypoint_set, layout = LAYOUTS[17]
+    keypoints = load_keypoint_set(keypoint_set)
+    person = walking(keypoints, 1, (-0.1, 0.0), (0.8, 0.3))
+    read = []
+    for c in range(4):
+        points = _found(person, c, 0, layout, keypoints.names)
+        points[:, :2] *= factor if c == 1 else 1.0
+        read.append(read_keypoints(_folder(tmp_path / str(c), [[points]])))
+    with pytest.raises(GatewayError, match=rf"/1: .*{said}"):
+        keypoint_messages(CAMERAS, read, {}, 60.0, 1)
 
 
 def test_nobody_whom_two_cameras_see_is_one_error(tmp_path: Path) -> None:

@@ -1,16 +1,18 @@
 """One served camera: whom it finds, whom it is told of, and what it does when nobody tells any more."""
 
+import json
 import socket
 
 import numpy as np
 import pytest
 
 from devices.cameras.heat_map_messages import FOUND_BY_CAMERA, HeatMapReceiver
-from devices.cameras.orders import CameraOrders, encode_orders
+from devices.cameras.orders import CameraOrders, Joined, encode_orders, read_orders
 from gateway.cameras.camera_process import CameraTask, messages_of
-from gateway.cameras.people_follower import PeopleFollower
+from gateway.cameras.people_follower import FollowingCameras, PeopleFollower
 from gateway.cameras.serving import Outlet
 from gateway.emulation.video_truth import ring_of_cameras, true_regions, walking
+from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.regions import square_of
 from tests.served_cameras import Scene
@@ -96,3 +98,43 @@ def test_the_newest_orders_come_back_over_the_connection():
         assert outlet.newest_line() == b""
     outlet.close()
     listener.close()
+
+
+def test_somebody_partly_in_either_picture_is_seen_in_both_at_once():
+    """The gateway tells one camera of its neighbour: the network sees both pictures once, each gets its
+    cells."""
+
+    class Network:
+        keypoints = KEYPOINTS.names
+        looks = 0
+
+        def heat_maps(self, picture, region):
+            self.looks += 1
+            return CameraHeatMaps(np.ones((33, 64, 64), np.float32), region.affine(64))
+
+    network = Network()
+    cameras = FollowingCameras(["left", "right"], network, Scene(CAMERA, KEYPOINTS), 4)
+    square = (100.0, 50.0, 80.0, 0.0)
+    joined = {"left": {1: Joined("right", (1.0, 0.0, 100.0, 0.0, 1.0, 0.0))}}
+    cameras.take(
+        encode_orders(
+            2, {"left": {1: square, 2: None, 3: None, 4: None}, "right": dict.fromkeys(range(1, 5))}, joined
+        )
+    )
+    picture = np.zeros((100, 100, 3), np.uint8)
+    left, right = cameras.heat_maps([picture, picture])
+    assert network.looks == 1
+    assert (sorted(left), sorted(right)) == ([1], [1])
+    assert 0.4 < left[1].likelihood.mean() < 0.6
+    assert left[1].likelihood.mean() + right[1].likelihood.mean() == pytest.approx(1.0)
+    assert right[1].map_from_pixel @ [0, 50, 1] == pytest.approx(left[1].map_from_pixel @ [100, 50, 1])
+    for bad in ([["right", 1.0]], [3, *range(6)], ["right", *[float("nan")] * 6]):
+        assert (
+            read_orders(
+                json.dumps(
+                    {"sequence": 1, "cameras": {"left": {"1": square}}, "joined": {"left": {"1": bad}}}
+                ).encode(),
+                "left",
+            )
+            is None
+        )

@@ -51,7 +51,7 @@ def recording(tmp_path_factory):
 def test_the_heat_maps_of_one_camera_are_served_as_they_were_recorded(recording):
     path, instants = recording
     sink = Collected()
-    serve(CameraTask(CAMERAS[1].name, str(path), "full"), sink, speed=0.0)
+    serve([CameraTask(CAMERAS[1].name, str(path), "full")], sink, speed=0.0)
     assert sink.messages[:N] == [instant[1] for instant in instants]
     later = [HeatMapReceiver().receive(message)[0].sequence for message in sink.messages[N:]]
     assert later == list(range(N, N + 3))  # the last instant again, for the smoothing
@@ -59,4 +59,4 @@ def test_the_heat_maps_of_one_camera_are_served_as_they_were_recorded(recording)
 
 def test_a_camera_that_the_recording_does_not_have_is_told(recording):
     with pytest.raises(CameraError, match=r"no camera 'left' \(its cameras: ring0, ring1, ring2\)"):
-        serve(CameraTask("left", str(recording[0]), "full"), Collected(), speed=0.0)
+        serve([CameraTask("left", str(recording[0]), "full")], Collected(), speed=0.0)

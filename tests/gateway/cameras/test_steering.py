@@ -5,8 +5,11 @@ import pytest
 
 pytest.importorskip("cv2")
 
-from devices.cameras.heat_map_messages import HeatMapReceiver, encode_heat_maps
-from gateway.cameras.steering import AHEAD, Steering
+from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver, encode_heat_maps
+from devices.cameras.orders import read_orders
+from gateway.body.skeleton import VideoSetUp
+from gateway.cameras.live_crowd import AHEAD
+from gateway.cameras.steering import Steering
 from gateway.emulation.video_truth import messages_of, ring_of_cameras, walking
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.regions import person_region
@@ -17,7 +20,6 @@ pytestmark = pytest.mark.timeout(600)  # whichever test comes first compiles
 CAMERAS = ring_of_cameras(3)
 KEYPOINTS = load_keypoint_set("blazepose_33")
 WALKER = walking(KEYPOINTS, 8, (-0.3, 0.2), (0.5, 0.8))
-OTHER = walking(KEYPOINTS, 8, (0.6, -0.4), (-0.5, -0.8), phase=1.0)
 
 
 def exchanged(message):
@@ -32,27 +34,29 @@ def exchanged(message):
     )
 
 
+def squares_of(instant, camera):
+    return read_orders(instant.orders, camera.name).squares
+
+
 def test_regions_are_those_of_the_picture_to_come():
-    steering = Steering(CAMERAS, KEYPOINTS, 2)
-    both = [messages_of(CAMERAS, KEYPOINTS, person) for person in (WALKER, OTHER)]
-    for instant in zip(*both, strict=True):
-        before = steering.orders()
-        steering.take(list(instant))
-    assert all(order.is_ordered for of_camera in before for order in of_camera)
-    for person, known in enumerate((WALKER, OTHER)):
-        for camera, orders in zip(CAMERAS, before, strict=True):
-            true = person_region(camera, known.keypoints[6 + AHEAD - 1], KEYPOINTS.names)
-            assert orders[person].region.centre == pytest.approx(true.centre, abs=0.03 * true.size)
-            assert orders[person].region.size == pytest.approx(true.size, rel=0.05)
+    steering = Steering(VideoSetUp(tuple(CAMERAS), "full"))
+    for index, messages in enumerate(messages_of(CAMERAS, KEYPOINTS, WALKER)[: 8 - AHEAD]):
+        instant = steering.take(messages)
+        assert read_orders(instant.orders, "ring0").sequence == index + AHEAD
+    for camera in CAMERAS:
+        true = person_region(camera, WALKER.keypoints[-1], KEYPOINTS.names)
+        x, y, size, _ = squares_of(instant, camera)[0]
+        assert (x, y) == pytest.approx(tuple(true.centre), abs=0.03 * true.size)
+        assert size == pytest.approx(true.size, rel=0.05)
 
 
 def test_left_and_right_of_one_camera_are_put_back_and_of_most_are_left():
     instants = messages_of(CAMERAS, KEYPOINTS, WALKER)
-    steering = Steering(CAMERAS, KEYPOINTS, 1)
+    steering = Steering(VideoSetUp(tuple(CAMERAS), "full"))
     for instant in instants[:4]:
-        steering.take([instant])
+        steering.take(instant)
     wrong = [instants[4][0], exchanged(instants[4][1]), instants[4][2]]
-    (given,) = steering.take([wrong])
+    given = steering.take(wrong).messages[1]
     put_right, true = (HeatMapReceiver().receive(each[1])[0].likelihood for each in (given, instants[4]))
     cells = np.array([np.unravel_index(each.argmax(), each.shape) for each in true])
     apart = [pair for pair in pairs_of(KEYPOINTS.names) if np.ptp(cells[pair], axis=0).max() > 8]
@@ -60,10 +64,13 @@ def test_left_and_right_of_one_camera_are_put_back_and_of_most_are_left():
     assert all((put_right[pair] == true[pair]).all() for pair in apart)
     assert given[0] == instants[4][0]
     everywhere = [exchanged(message) for message in instants[5]]
-    assert steering.take([everywhere])[0] == everywhere
+    assert steering.take(everywhere).messages[1] == everywhere
 
 
 def test_without_a_pose_cameras_follow_by_themselves():
-    steering = Steering(CAMERAS, KEYPOINTS, 1)
-    assert not any(order.is_ordered for (order,) in steering.orders())
-    assert np.all([order.region is None for (order,) in steering.orders()])
+    steering = Steering(VideoSetUp(tuple(CAMERAS), "full"))
+    nobody = [
+        encode_heat_maps(HeatMapMessage(camera.name, "full", 0, 0, None, np.zeros((2, 3))))
+        for camera in CAMERAS
+    ]
+    assert all(squares_of(steering.take(nobody), camera) == {} for camera in CAMERAS)

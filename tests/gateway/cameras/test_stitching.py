@@ -8,8 +8,9 @@ import pytest
 pytest.importorskip("cv2")
 
 from gateway.body.camera import project
-from gateway.cameras.stitching import joined_heat_maps, joining
+from gateway.cameras.stitching import joined_heat_maps
 from gateway.frames import CameraHeatMaps
+from gateway.reconstruction.video.leading import joining
 from gateway.reconstruction.video.region import PersonRegion
 from tests.ring_of_cameras import CAMERAS
 

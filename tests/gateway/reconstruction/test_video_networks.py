@@ -14,7 +14,7 @@ from devices.marker_files import read_markers
 from gateway.body.camera import project
 from gateway.calibration.cameras_file import load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
-from gateway.cameras.person_follower import PersonFollower
+from gateway.cameras.people_follower import PeopleFollower
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.network import load_network
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
@@ -84,12 +84,12 @@ def test_peaks_of_a_mirrored_picture_are_the_mirrored_peaks(name, picture, regio
 
 
 def test_a_person_is_followed_and_found_again(picture):
-    follower = PersonFollower(network("lite"), PersonDetector(2))
-    assert follower.heat_maps(np.zeros_like(picture)) is None
-    maps = follower.heat_maps(picture)
+    follower = PeopleFollower(network("lite"), PersonDetector(2), 1)
+    assert follower.heat_maps(np.zeros_like(picture)) == {}
+    maps = follower.heat_maps(picture)[0]
     assert maps is not None
     assert maps.likelihood.shape == (33, 64, 64)
     assert 0 <= maps.likelihood.min() <= maps.likelihood.max() <= 1
     follower.heat_maps(np.zeros_like(picture))  # the person has gone: the region is forgotten
-    assert follower.heat_maps(np.zeros_like(picture)) is None
-    assert follower.heat_maps(picture) is not None
+    assert follower.heat_maps(np.zeros_like(picture)) == {}
+    assert follower.heat_maps(picture)[0] is not None

@@ -129,10 +129,10 @@ def test_two_people_cross_without_a_swap():
     for f in range(30):
         everyone = np.stack([person.keypoints[f] for person in people])
         alone = [everyone[k : k + 1] if f == 0 else everyone for k in range(2)]
-        poses = crowd.update([rendered(CAMERAS, regions[k], alone[k], f) for k in range(2)])
-        regions = [pose.regions for pose in poses]
-    for person, pose in zip(people, poses, strict=True):
-        assert np.median(np.linalg.norm(pose.keypoints - person.keypoints[-1], axis=1)) < 0.02
+        crowd.update([rendered(CAMERAS, regions[k], alone[k], f) for k in range(2)])
+        regions = [true_regions(CAMERAS, KEYPOINTS, points) for points in crowd.expected_after(1)]
+    for person, tracker in zip(people, crowd.trackers, strict=True):
+        assert np.median(np.linalg.norm(tracker.places - person.keypoints[-1], axis=1)) < 0.02
     with pytest.raises(GatewayError, match="1 people for 2"):
         crowd.update([HeatMapFrame(0, 0, (None,) * 4)])
 
@@ -143,17 +143,17 @@ def test_one_person_found_twice_is_counted_once_and_two_close_by_stay_two():
     regions = true_regions(CAMERAS, KEYPOINTS, twice.keypoints[0])
     for f in range(10):
         frame = rendered(CAMERAS, regions, twice.keypoints[f][None], f)
-        poses = crowd.update([frame, frame])
-        regions = poses[0].regions
+        crowd.update([frame, frame])
+        regions = true_regions(CAMERAS, KEYPOINTS, crowd.expected_after(1)[0])
     assert crowd.same_as == {1: 0}
-    assert np.median(np.linalg.norm(poses[0].keypoints - twice.keypoints[-1], axis=1)) < 0.02
+    assert np.median(np.linalg.norm(crowd.trackers[0].places - twice.keypoints[-1], axis=1)) < 0.02
     beside = [walking(KEYPOINTS, 10, (0.0, y), (0.8, 0.0)) for y in (0.0, 0.5)]
     crowd = VideoCrowd(CAMERAS, KEYPOINTS, 2)
     seen = [true_regions(CAMERAS, KEYPOINTS, person.keypoints[0]) for person in beside]
     for f in range(10):
         shown = [person.keypoints[f][None] for person in beside]
-        poses = crowd.update([rendered(CAMERAS, seen[k], shown[k], f) for k in range(2)])
-        seen = [pose.regions for pose in poses]
+        crowd.update([rendered(CAMERAS, seen[k], shown[k], f) for k in range(2)])
+        seen = [true_regions(CAMERAS, KEYPOINTS, points) for points in crowd.expected_after(1)]
     assert crowd.same_as == {}
 
 

@@ -1,0 +1,63 @@
+"""The people of a film: of each a message a camera and instant, from the film's first instant on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
+from gateway.body.skeleton import VideoSetUp
+from gateway.cameras.live_crowd import CrowdInstant
+
+Instants = list[list[bytes]]
+"""Messages of one person: of every instant, one a camera."""
+_NOWHERE = np.zeros((2, 3))
+
+
+class FilmedPeople:
+    """Puts together what the instants of a film bring; where somebody is not there, cameras show nobody."""
+
+    def __init__(self, video: VideoSetUp, rate_hz: float) -> None:
+        self.video = video
+        self.taken = 0
+        """Instants, those too in which nobody was looked for."""
+        self._absent: dict[int, int] = {}
+        self._rate_hz = rate_hz
+        self._people: dict[int, Instants] = {}
+
+    def add(self, instant: CrowdInstant) -> None:
+        """Add one instant."""
+        self.taken += 1
+        for number, messages in instant.messages.items():
+            self._extend(number, [messages])
+        for number, instants in instant.before.items():
+            self._extend(number, instants)
+        self._absent.update(dict.fromkeys(instant.before, 0))
+        self._absent.update(instant.absent)
+
+    @property
+    def people(self) -> list[Instants]:
+        """By person, in the order in which they entered; until they were last there."""
+        return [
+            messages[: len(messages) - self._absent.get(number, 0)]
+            for number, messages in self._people.items()
+        ]
+
+    def time_ns(self, index: int) -> int:
+        """Return when an instant is, since the film's first."""
+        return round(index * 1e9 / self._rate_hz)
+
+    def _extend(self, number: int, instants: Sequence[Sequence[bytes]]) -> None:
+        """Add instants of somebody that end at the newest one, and before them those without the person."""
+        person = self._people.setdefault(number, [])
+        absent = range(len(person), self.taken - len(instants))
+        person += [self._nobody(index) for index in absent]
+        person += [list(each) for each in instants]
+
+    def _nobody(self, index: int) -> list[bytes]:
+        time_ns = self.time_ns(index)
+        return [
+            encode_heat_maps(HeatMapMessage(camera.name, self.video.network, index, time_ns, None, _NOWHERE))
+            for camera in self.video.cameras
+        ]
