@@ -31,6 +31,9 @@ def read_trc(path: Path) -> MarkerTrial:
         raise FormatError(
             f"{path}: line 1: not a TRC file, which begins with '{FIRST_WORD}': export it again"
         )
+    again = next((n for n, line in enumerate(lines[1:], 1) if line.startswith(FIRST_WORD)), len(lines))
+    further = [f"{path}: from line {again + 1} on another trial: left out"] if again < len(lines) else []
+    lines = lines[:again]
     if len(lines) < _HEAD_LINES:
         raise FormatError(f"{path}: cut off: {len(lines)} lines, of which a header alone takes {_HEAD_LINES}")
     if "\t" not in lines[3]:
@@ -38,9 +41,6 @@ def read_trc(path: Path) -> MarkerTrial:
             f"{path}: line 4: no tab between the markers' names: TRC columns are parted by tabs"
         )
     head = _head(lines, path)
-    again = next((n for n, line in enumerate(lines[1:], 1) if line.startswith(FIRST_WORD)), len(lines))
-    further = [f"{path}: from line {again + 1} on another trial: left out"] if again < len(lines) else []
-    lines = lines[:again]
     begin = (
         _HEAD_LINES - 1 if lines[_HEAD_LINES - 1][:1].isdigit() else _HEAD_LINES
     )  # some leave out X1, Y1, …

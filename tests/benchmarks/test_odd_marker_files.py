@@ -17,17 +17,40 @@ TRIALS = [
 ]
 
 
+REFUSED = {
+    "blanks in the place of tabs": "parted by tabs",
+    "an empty walk": "is empty",
+    "a head without frames": "no frame behind its header",
+    "commas in the place of tabs": "parted by tabs",
+    "a web page": "not a TRC file",
+}
+FRAMES = {"frames left out": 25, "one frame": 1}
+"""Of those cases whose walk has fewer than it had."""
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_every_file_can_be_read_or_is_refused_in_one_line(tmp_path: Path, case: str) -> None:
     _, walk = write_case(tmp_path, case, TRIALS)
-    if case == "blanks in the place of tabs":
-        with pytest.raises(FormatError, match="parted by tabs"):
+    if case in REFUSED:
+        with pytest.raises(FormatError, match=REFUSED[case]):
             read_markers(walk)
         return
     found = read_markers(walk)
-    assert found.n_frames == 25 if case == "frames left out" else 30 <= found.n_frames <= 40
+    assert found.n_frames == FRAMES[case] if case in FRAMES else 30 <= found.n_frames <= 40
     is_faulty = case.startswith(
-        ("ends", "text", "miscounted", "two points", "times", "frames left", "n/a", "-nan")
+        (
+            "ends",
+            "text",
+            "miscounted",
+            "two points",
+            "times",
+            "frames left",
+            "frames from",
+            "one frame",
+            "two trials",
+            "n/a",
+            "-nan",
+        )
     )
     assert bool(found.notes) == is_faulty
 
