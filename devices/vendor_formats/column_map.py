@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
-from devices.vendor_formats.gaps import index_of_times, rate_of, spread
+from devices.vendor_formats.gaps import in_order, index_of_times, rate_of, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
 from devices.vendor_formats.xsens_text import NORTH_WEST_UP_DEG, add_tracks, turned
@@ -153,8 +153,9 @@ def _module(sheet: Sheet, mapped: MappedModule, columns: ColumnMap) -> tuple[Flo
         readings[:, 9:] = _orientations(values, names, mapped.orientation)
     if columns.time is None:
         return np.arange(len(table)) / (columns.rate_hz or 1.0), readings
-    times = table[:, 0] * _SECONDS[columns.time.unit]
-    return spread(index_of_times(times, sheet.path), times, readings, sheet.path)
+    rows = in_order(table[:, 0], sheet, columns.time.column)
+    times = table[rows, 0] * _SECONDS[columns.time.unit]
+    return spread(index_of_times(times), times, readings[rows], sheet.path)
 
 
 def _orientations(values: FloatArray, names: list[str], kind: Orientation) -> FloatArray:
