@@ -101,3 +101,20 @@ def test_quotes_around_names_and_numbers(tmp_path):
     recording = read(tmp_path, quoted, head='"' + HEAD.replace(",", '","') + '"')
     assert recording.sampling_rate_hz == 100
     assert len(recording.modules[0].times) == 20
+
+
+def test_what_no_sensor_reads_counts_as_lost_and_is_noted(tmp_path):
+    rows = rows_of(60)
+    rows[10] = rows[10].replace("9.81", "1e300")
+    rows[20] = "0.20,0,0,9.81,9999,0,0,0.3,0,-0.9"
+    recording = read(tmp_path, rows)
+    assert len(samples_of(recording)) == 58
+    assert "2 rows beyond 4000 m/s² or 350 rad/s" in recording.notes[0]
+
+
+def test_units_that_cannot_be_right_are_doubted(tmp_path):
+    (note,) = read(tmp_path, [row.replace("9.81", "1.00") for row in rows_of(60)]).notes
+    assert "the specific force of 'pelvis' is usually 1 m/s² long, and should be 9.8 at rest" in note
+    (note,) = read(tmp_path, [f"{k * 0.01:.2f},0,0,9.81,90,0,0,0.3,0,-0.9" for k in range(60)]).notes
+    assert "the angular rate of 'pelvis' is usually 90 rad/s: is its unit 'rad/s'?" in note
+    assert not read(tmp_path, rows_of(60)).notes
