@@ -188,6 +188,9 @@ def _recording(parts: SplitResult, parameters: dict[str, Any], name: str | None)
 
 _CAN_PARAMETERS = {"bitrate": _whole_number, "fd": _flag, "data_bitrate": _whole_number}
 _TCP_PARAMETERS = {"key_file": _key, "listen": _flag, "peers": _networks}
+_SHOWN = 80
+"""Characters of an address that are repeated in an error."""
+
 _SCHEMES = {
     "serial": _Scheme("serial:///dev/ttyUSB0?baud=1000000", _serial, {"baud": _whole_number}),
     "rfc2217": _Scheme("rfc2217://host:port?baud=1000000", _rfc2217, {"baud": _whole_number}),
@@ -245,5 +248,5 @@ def _unknown_scheme(url: str, scheme: str) -> str:
         return f"'{url}': write the whole path: {os.path.abspath(os.path.expanduser(url))}"
     if not scheme:
         examples = ", ".join(known.example for known in _SCHEMES.values())
-        return f"'{url}' is neither a path (/dev/ttyUSB0) nor a URL; write one like: {examples}"
-    return f"{url}: unknown scheme '{scheme}'{nearest(scheme, _SCHEMES)}"
+        return f"'{url[:_SHOWN]}' is neither a path (/dev/ttyUSB0) nor a URL; write one like: {examples}"
+    return f"{url[:_SHOWN]}: unknown scheme '{scheme[:_SHOWN]}'{nearest(scheme, _SCHEMES)}"

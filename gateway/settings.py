@@ -384,7 +384,10 @@ class GatewaySettings(_Strict):
 
     @model_validator(mode="after")
     def _can_be_late(self) -> GatewaySettings:
-        refuse_delay(self.reconstructor, self.reconstructor_delay_ms)
+        try:
+            refuse_delay(self.reconstructor, self.reconstructor_delay_ms)
+        except ValueError as error:
+            raise ValueError(f"reconstructor_delay_ms: {error}") from None
         return self
 
     @field_validator("links")

@@ -21,13 +21,22 @@ from firmware_protocol import FusedSample, InertialSampleFine, LocalMeasurement,
 NOMINAL_FIELD_UT = 50.0
 """Mean norm that magnetic readings in arbitrary units are scaled to, module by module, µT."""
 
+_WILDEST = 10.0
+"""Times the usual norm of a field; beyond, a reading is no field."""
+
+_SLOWER = "magnetic_field"
+"""The sensor that may have no reading of an instant at which others have one."""
+
 CLOCK_START_US = 1_000_000
 """What every module's counter shows at time 0 of a recording (some data begin before it)."""
 
 
 @dataclass(frozen=True)
 class ModuleTrack:
-    """All samples of one module, sensor axes. A row with a NaN was lost: it is not sent, yet counted."""
+    """All samples of one module, sensor axes. A row with a NaN was lost: it is not sent, yet counted.
+
+    One that lacks the field alone is sent without it: some magnetometers sample more slowly.
+    """
 
     module: int
     name: str
@@ -136,11 +145,26 @@ def track_of(
     """
     absent = np.full_like(specific_force, np.nan)
     rate = absent if angular_rate is None else angular_rate
-    if magnetic_field is None or not np.isfinite(magnetic_field).any():
+    norm = 0.0 if magnetic_field is None else _usual_norm(magnetic_field)
+    if magnetic_field is None or not norm:
         return ModuleTrack(module, name, times, specific_force, rate, absent)
     # Public recordings give the field in many units, or as a share: only its direction is common.
-    scale = NOMINAL_FIELD_UT / float(np.nanmean(np.linalg.norm(magnetic_field, axis=1)))
+    scale = NOMINAL_FIELD_UT / norm
     return ModuleTrack(module, name, times, specific_force, rate, magnetic_field * scale, scale)
+
+
+def _usual_norm(field: FloatArray) -> float:
+    """Return the mean norm of readings (n, 3) without wild ones; 0 where a magnetometer tells nothing.
+
+    One that is switched off gives zeros, or nothing at all.
+    """
+    norms = np.linalg.norm(field, axis=1)
+    known = np.isfinite(norms)
+    if not known.any():
+        return 0.0
+    # A single wild value would shrink all others: the mean is of those near the usual one.
+    norms[~known | (norms > _WILDEST * np.median(norms[known]))] = np.nan
+    return float(np.nanmean(norms)) if np.isfinite(norms).any() else 0.0
 
 
 def play(recording: Recording, encoding: Encoding | None = None) -> Iterator[Transmission]:
@@ -159,17 +183,35 @@ def play(recording: Recording, encoding: Encoding | None = None) -> Iterator[Tra
 
 def _module_frames(track: ModuleTrack, sampling_rate_hz: float) -> Iterator[tuple[float, WireFrame]]:
     sensors = track.sensors
-    readings = {name: getattr(track, name) for name in sensors}
-    # Rows that the recording lacks are packets that were lost: their numbers stay unused.
-    is_whole = np.isfinite(np.hstack(list(readings.values()))).all(axis=1)
-    rows = np.flatnonzero(is_whole)
-    encoder = SampleEncoder(InertialSampleFine, sensors)
-    bodies = encoder.encode({name: values[rows] for name, values in readings.items()})
     first_s = float(track.times[0])
     info = device_info(struct.pack("<8sI", b"RECORDED", track.module), sampling_rate_hz, sensors)
     yield first_s, WireFrame(info.KIND, track.module, 0, _clock_us(first_s), encode_packet(info))
-    for row, time_s, body in zip(rows.tolist(), track.times[rows].tolist(), bodies, strict=True):
-        yield time_s, WireFrame(encoder.kind, track.module, row % 2**16, _clock_us(time_s), body)
+    bodies = _bodies(track, sensors)
+    # Rows that the recording lacks are packets that were lost: their numbers stay unused.
+    for row in sorted(bodies):
+        time_s = float(track.times[row])
+        frame = WireFrame(InertialSampleFine.KIND, track.module, row % 2**16, _clock_us(time_s), bodies[row])
+        yield time_s, frame
+
+
+def _bodies(track: ModuleTrack, sensors: tuple[str, ...]) -> dict[int, bytes]:
+    """Return the bodies of the samples that can be sent, by row."""
+    known = {name: np.isfinite(getattr(track, name)).all(axis=1) for name in sensors}
+    is_sent = np.ones(len(track.times), dtype=np.bool_)
+    for name in sensors:
+        if name != _SLOWER:
+            is_sent &= known[name]
+    has_field = known.get(_SLOWER, np.zeros_like(is_sent))
+    found: dict[int, bytes] = {}
+    for present, rows in (
+        (sensors, np.flatnonzero(is_sent & has_field)),
+        (tuple(name for name in sensors if name != _SLOWER), np.flatnonzero(is_sent & ~has_field)),
+    ):
+        if len(rows) and present:
+            readings = {name: getattr(track, name)[rows] for name in present}
+            bodies = SampleEncoder(InertialSampleFine, present).encode(readings)
+            found.update(zip(rows.tolist(), bodies, strict=True))
+    return found
 
 
 def _fused_frames(track: FusedTrack) -> Iterator[tuple[float, WireFrame]]:

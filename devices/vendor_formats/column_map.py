@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
-from devices.vendor_formats.gaps import index_of_times, rate_of, spread
+from devices.vendor_formats.gaps import in_order, index_of_times, rate_of, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
 from devices.vendor_formats.xsens_text import NORTH_WEST_UP_DEG, add_tracks, turned
@@ -19,6 +19,12 @@ Three = Annotated[list[str], Field(min_length=3, max_length=3)]
 Four = Annotated[list[str], Field(min_length=4, max_length=4)]
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _SCALES = {"m/s²": 1.0, "m/s^2": 1.0, "g": 9.80665, "rad/s": 1.0, "deg/s": np.pi / 180}
+_BEYOND = (4000.0, 350.0)
+"""m/s² and rad/s (400 g, 20 000 °/s): no sensor that is worn reads more."""
+_USUAL_FORCE = (3.0, 30.0)
+"""m/s², what the median length of the specific force lies between: at rest it is that of gravity."""
+_USUAL_RATE = 20.0
+"""rad/s, what the median length of the angular rate lies below: nobody turns so fast for long."""
 _WORLDS = {"enu": 0.0, "nwu": NORTH_WEST_UP_DEG}
 
 
@@ -149,12 +155,52 @@ def _module(sheet: Sheet, mapped: MappedModule, columns: ColumnMap) -> tuple[Flo
         if part is not None:
             at = [names.index(name) for name in part.columns]
             readings[:, first : first + 3] = values[:, at] * _SCALES.get(getattr(part, "unit", ""), 1.0)
+    _leave_out_wild(readings, sheet)
+    _doubt_units(readings, mapped, sheet)
     if mapped.orientation is not None:
         readings[:, 9:] = _orientations(values, names, mapped.orientation)
     if columns.time is None:
         return np.arange(len(table)) / (columns.rate_hz or 1.0), readings
-    times = table[:, 0] * _SECONDS[columns.time.unit]
-    return spread(index_of_times(times, sheet.path), times, readings, sheet.path)
+    rows = in_order(table[:, 0], sheet, columns.time.column)
+    times = table[rows, 0] * _SECONDS[columns.time.unit]
+    return spread(index_of_times(times), times, readings[rows], sheet.path)
+
+
+def _leave_out_wild(readings: FloatArray, sheet: Sheet) -> None:
+    """Take readings that no sensor gives out of the rows (n, 13); the sheet notes how many."""
+    wild = np.zeros(len(readings), dtype=np.bool_)
+    for first, most in zip((0, 3), _BEYOND, strict=True):
+        part = readings[:, first : first + 3]
+        is_wild = (np.abs(part) > most).any(axis=1)
+        part[is_wild] = np.nan
+        wild |= is_wild
+    if wild.any():
+        sheet.add_note(
+            f"{sheet.path}: {int(wild.sum())} rows beyond {_BEYOND[0]:g} m/s² or {_BEYOND[1]:g} rad/s, which "
+            "no sensor reads, count as lost"
+        )
+
+
+def _doubt_units(readings: FloatArray, mapped: MappedModule, sheet: Sheet) -> None:
+    """Note readings that another unit than the map's would explain."""
+    force, rate = (_usual_length(readings[:, first : first + 3]) for first in (0, 3))
+    if mapped.specific_force is not None and (force < _USUAL_FORCE[0] or force > _USUAL_FORCE[1]):
+        sheet.add_note(
+            f"{sheet.path}: the specific force of '{mapped.name}' is usually {force:.3g} m/s² long, and "
+            f"should be 9.8 at rest: is its unit '{mapped.specific_force.unit}'?"
+        )
+    if mapped.angular_rate is not None and rate > _USUAL_RATE:
+        sheet.add_note(
+            f"{sheet.path}: the angular rate of '{mapped.name}' is usually {rate:.3g} rad/s: is its unit "
+            f"'{mapped.angular_rate.unit}'?"
+        )
+
+
+def _usual_length(vectors: FloatArray) -> float:
+    """Return the median length of vectors (n, 3), of those that are known; NaN: of none."""
+    lengths = np.linalg.norm(vectors, axis=1)
+    known = lengths[np.isfinite(lengths)]
+    return float(np.median(known)) if len(known) else float("nan")
 
 
 def _orientations(values: FloatArray, names: list[str], kind: Orientation) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import Recording
-from devices.vendor_formats.gaps import rate_of, spread, unwrapped
+from devices.vendor_formats.gaps import in_order, rate_of, spread, unwrapped
 from devices.vendor_formats.labels import labels_of, refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
 from devices.vendor_formats.stamped import stamped_tracks
@@ -58,7 +58,11 @@ def _module(sheet: Sheet) -> tuple[FloatArray, FloatArray]:
     if len(table) < 2:
         raise FormatError(f"{sheet.path} has {len(table)} sample(s): two at least are needed")
     counter = unwrapped(table[:, 0], _COUNTER_BITS, sheet.path, "PacketCounter")
+    rows = in_order(counter, sheet, "PacketCounter")
+    counter, table = counter[rows], table[rows]
     stamps = unwrapped(table[:, 1], _STAMP_BITS, sheet.path, _STAMP).astype(np.float64) * np.float64(1e-6)
+    if (np.diff(stamps) <= 0).any():
+        raise FormatError(f"{sheet.path}: '{_STAMP}' stands still or goes back while PacketCounter grows")
     readings = np.full((len(table), 13), np.nan)
     # The app writes rates in degrees.
     for column, name in enumerate(sensors, start=2):

@@ -39,7 +39,12 @@ class Sheet:
     is_partial: bool
     """Whether to end at the first bad row, instead of refusing the file."""
     note: str | None = None
-    """What was left out, after ``columns``."""
+    """What was left out or mended, after ``columns``."""
+
+    def add_note(self, text: str) -> None:
+        """Note one thing more, once."""
+        if self.note is None or text not in self.note:
+            self.note = text if self.note is None else f"{self.note}; {text}"
 
     def columns(self, wanted: Sequence[str]) -> FloatArray:
         """Return columns (n, len(wanted)); an empty cell is NaN. Raises ``FormatError``."""
@@ -54,7 +59,7 @@ class Sheet:
             raise FormatError(f"{self.path} has no row of numbers below line {len(self.preamble) + 1}")
         try:
             table: FloatArray = np.loadtxt(
-                self.rows, delimiter=self.delimiter, usecols=at, ndmin=2, comments=None
+                self.rows, delimiter=self.delimiter, usecols=at, ndmin=2, comments=None, quotechar='"'
             )
         # NumPy reads whole numbers fast, but neither empty cells nor does it say where it failed.
         except ValueError:
@@ -76,7 +81,7 @@ class Sheet:
             except FormatError as error:
                 if not self.is_partial:
                     raise FormatError(f"{error}; --partial imports the rows before it") from None
-                self.note = f"{error}: this row and {len(self.rows) - row - 1} after it were left out"
+                self.add_note(f"{error}: this row and {len(self.rows) - row - 1} after it were left out")
                 del self.rows[row:]
                 break
         return np.array(table, dtype=np.float64).reshape(-1, len(at))
@@ -88,7 +93,7 @@ class Sheet:
                 f"{self.path}, line {number}: ends after {len(cells)} of {len(self.names)} columns, "
                 "as a file does that was cut off"
             )
-        return [self._number(cells[i].strip(), number, self.names[i]) for i in at]
+        return [self._number(_bare(cells[i]), number, self.names[i]) for i in at]
 
     def _number(self, text: str, line: int, column: str) -> float:
         try:
@@ -97,6 +102,11 @@ class Sheet:
             raise FormatError(
                 f"{self.path}, line {line}, column '{column}': a number is wanted, not {text[:_SHOWN]!r}"
             ) from None
+
+
+def _bare(cell: str) -> str:
+    """Return a cell without the blanks and the quotes around it."""
+    return cell.strip().strip('"').strip()
 
 
 def read_lines(path: Path) -> list[str]:
@@ -130,7 +140,7 @@ def open_sheet(
     for index, line in enumerate(lines[:_HEADER_LINES]):
         # The character that is most frequent in the line: commas may also be in numbers or names.
         delimiter = max(_DELIMITERS, key=line.count)
-        names = [name.strip() for name in line.split(delimiter)]
+        names = [_bare(name) for name in line.split(delimiter)]
         if is_header(names):
             rows = lines[index + 1 :]
             while rows and not rows[-1].strip():

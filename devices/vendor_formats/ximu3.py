@@ -16,7 +16,7 @@ import numpy as np
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import Recording
-from devices.vendor_formats.gaps import index_of_times, rate_of, spread
+from devices.vendor_formats.gaps import in_order, index_of_times, rate_of, spread, usual_interval
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, open_sheet
 from devices.vendor_formats.stamped import stamped_tracks
@@ -50,7 +50,7 @@ def read_ximu3(paths: Sequence[Path], *, align: str = "stamps", partial: bool = 
     notes: list[str] = []
     tables = [_module(folder, partial, notes) for folder in folders]
     modules, fused = stamped_tracks(labels, tables, align)
-    rate_hz = rate_of(np.array([np.median(np.diff(times)) for times, _ in tables]), folders[0])
+    rate_hz = rate_of(np.array([usual_interval(np.diff(times)) for times, _ in tables]), folders[0])
     begun_ns = _begun_ns(folders[0])
     return Recording(
         "ximu3", rate_hz, tuple(modules), fused=tuple(fused), begun_utc_ns=begun_ns, notes=tuple(notes)
@@ -75,7 +75,7 @@ def _module(folder: Path, partial: bool, notes: list[str]) -> tuple[FloatArray, 
             readings[:, columns] = _at_same_instants(times, at, turned(values))
         else:
             readings[:, columns] = np.stack([np.interp(times, at, column) for column in values.T], axis=1)
-    return spread(index_of_times(times, folder / INERTIAL), times, readings, folder / INERTIAL)
+    return spread(index_of_times(times), times, readings, folder / INERTIAL)
 
 
 def _at_same_instants(times: FloatArray, at: FloatArray, q: FloatArray) -> FloatArray:
@@ -94,12 +94,12 @@ def _table(path: Path, width: int, partial: bool, notes: list[str]) -> tuple[Flo
     if len(names) < width:
         raise FormatError(f"{path}: {width} columns of values are wanted, there are {', '.join(names)}")
     table = sheet.columns([sheet.names[0], *names])
+    table = table[in_order(table[:, 0], sheet, sheet.names[0])]
     if sheet.note:
         notes.append(sheet.note)
     if len(table) < 2:
         raise FormatError(f"{path} has {len(table)} sample(s): two at least are needed")
     times = table[:, 0] * 1e-6
-    index_of_times(times, path)
     return times, table[:, 1:] * np.array([_scale(path, name) for name in names])
 
 

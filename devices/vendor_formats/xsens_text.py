@@ -17,7 +17,7 @@ import numpy as np
 from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording, track_of
-from devices.vendor_formats.gaps import IntArray, checked_rate, spread, unwrapped
+from devices.vendor_formats.gaps import IntArray, checked_rate, in_order, spread, unwrapped
 from devices.vendor_formats.labels import labels_of, refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
 
@@ -128,7 +128,8 @@ def read_mt_file(path: Path, *, partial: bool = False) -> MtFile:
         checked_rate(float(found.group(1)), path) for line in sheet.preamble if (found := _RATE.match(line))
     ]
     counter = unwrapped(table[:, 0], _COUNTER_BITS, path, counter_name)
-    return MtFile(path, rates[0] if rates else None, counter, readings, sheet.note)
+    rows = in_order(counter, sheet, counter_name)
+    return MtFile(path, rates[0] if rates else None, counter[rows], readings[rows], sheet.note)
 
 
 def orientation_columns(sheet: Sheet) -> list[str]:

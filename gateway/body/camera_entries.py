@@ -60,7 +60,7 @@ def checked(camera: Camera, where: str) -> Camera:
         raise SettingsError(f"{where}: camera '{camera.name}' has focal lengths {fx:g} and {fy:g} pixels")
     if not (0 < camera.width <= _LARGEST and 0 < camera.height <= _LARGEST):
         raise SettingsError(
-            f"{where}: camera '{camera.name}' has pictures of {camera.width}×{camera.height} pixels"
+            f"{where}: camera '{camera.name}' has pictures of size {camera.width} × {camera.height} pixels"
         )
     off = np.abs(camera.rotation @ camera.rotation.T - np.eye(3)).max()
     # A determinant below zero is a reflection.

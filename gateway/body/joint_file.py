@@ -116,7 +116,8 @@ def joints_of(
     for name in chosen:
         if name not in names:
             raise SettingsError(
-                f"{path}: there is no joint '{name}' to define otherwise{nearest(name, names)}"
+                f"{path}: there is no joint '{name}' to define otherwise, as joint_definitions wants"
+                + nearest(name, names)
             )
     for name in names:
         if names.count(name) > 1:

@@ -31,7 +31,14 @@ _MOST_CAMERAS = 64
 
 def link_of(link: LinkSettings, mqtt: MqttSettings, port: Callable[[], int]) -> Link:
     """Return the link, not yet open, of a configuration. port: of the broker, once it is known. Raises
-    ``EndpointError``."""
+    ``EndpointError``, which names the link and its setting."""
+    try:
+        return _link_of(link, mqtt, port)
+    except (EndpointError, ValueError) as error:
+        raise EndpointError(f"link '{link.name}': url: {error}") from None
+
+
+def _link_of(link: LinkSettings, mqtt: MqttSettings, port: Callable[[], int]) -> Link:
     parts = urlsplit(link.url)
     if parts.scheme != SCHEME:
         return link_from_url(link.url, name=link.name)

@@ -232,7 +232,7 @@ def clocks(
     save_clock_table(table, target)
     console = Console()
     console.print(_clock_table(table))
-    console.print(f"written to {target}", soft_wrap=True)
+    console.print(f"written to {target}", soft_wrap=True, markup=False)
 
 
 async def _measure_clocks(settings: GatewaySettings, calibration: ClockCalibration) -> None:

@@ -321,7 +321,7 @@ class _Guide:
                         if unknown := [word for word in words[1:] if word not in known]:
                             raise GatewayError(f"no module sits on '{unknown[0]}'")
                     except GatewayError as error:
-                        console.print(f"[red]{error}[/red]")
+                        console.print(str(error), style="red", markup=False)
                         continue
                     return step, words[1:] or None
             return None

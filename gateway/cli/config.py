@@ -9,6 +9,7 @@ from pathlib import Path
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from devices.signed_link import write_key
 from firmware_protocol import MAX_MODULE, RELAY
@@ -37,10 +38,10 @@ def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configu
     for link in settings.links:
         link_of(link, settings.mqtt, lambda: settings.mqtt.port)
     Console().print(
-        f"[green]{file} is good[/green]: gateway '{settings.gateway}', {len(settings.links)} link(s), "
-        f"{len(suit.module_ids)} modules on body '{suit.skeleton.name}', {settings.assembly.rate_hz:g} Hz, "
-        f"reconstructor '{settings.reconstructor}'{_late(settings)}, broker {settings.mqtt.broker} "
-        f"{settings.mqtt.host}:{settings.mqtt.port}",
+        f"[green]{escape(str(file))} is good[/green]: gateway '{settings.gateway}', {len(settings.links)} "
+        f"link(s), {len(suit.module_ids)} modules on body '{escape(suit.skeleton.name)}', "
+        f"{settings.assembly.rate_hz:g} Hz, reconstructor '{settings.reconstructor}'{_late(settings)}, "
+        f"broker {settings.mqtt.broker} {escape(settings.mqtt.host)}:{settings.mqtt.port}",
         soft_wrap=True,
     )
     if settings.reconstructor == "articulated" and suit.sun is None:
@@ -102,8 +103,8 @@ def key(file: Path = typer.Argument(help="New file for the key; one that is ther
     except OSError as error:
         raise GatewayError(f"cannot make {file}: {error.strerror}") from None
     Console().print(
-        f"[green]{file} holds a new key[/green]: give it to the modules, and write in the configuration "
-        f"[bold]url: udp://…?key_file={file.absolute()}[/bold] (or tcp://…)",
+        f"[green]{escape(str(file))} holds a new key[/green]: give it to the modules, and write in the "
+        f"configuration [bold]url: udp://…?key_file={escape(str(file.absolute()))}[/bold] (or tcp://…)",
         soft_wrap=True,
     )
 
@@ -122,7 +123,7 @@ def dbc(
             raise GatewayError(f"--sensor {name}: no such sensor{nearest(name, ALL_SENSORS)}")
     ids = _module_ids(modules)
     write_whole(output, render(ids, sensor).encode("ascii"))
-    Console().print(f"[green]{output} describes {len(ids)} module(s)[/green]", soft_wrap=True)
+    Console().print(f"[green]{escape(str(output))} describes {len(ids)} module(s)[/green]", soft_wrap=True)
 
 
 def _module_ids(text: str) -> tuple[int, ...]:

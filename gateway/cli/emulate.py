@@ -19,6 +19,7 @@ import can
 import numpy as np
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from devices.calibration_script import begin_of_script
 from devices.emulators.bodies import FloatArray
@@ -550,6 +551,6 @@ def _announce(url: str, suit: EmulatedSuit, as_json: bool, is_touchable: bool) -
     if as_json:
         typer.echo(json.dumps({"url": url, "start_ns": suit.start_ns}))
         return
-    Console().print(f"emulated suit on [bold]{url}[/bold]  (Ctrl-C ends it)", soft_wrap=True)
+    Console().print(f"emulated suit on [bold]{escape(url)}[/bold]  (Ctrl-C ends it)", soft_wrap=True)
     if is_touchable and sys.stdin is not None and sys.stdin.isatty():
         Console().print(EXPLANATION)

@@ -13,6 +13,7 @@ import typer
 
 from gateway.body.skeleton import WornSuit
 from gateway.cli.options import AsJson, seconds_of, with_options
+from gateway.cli.preparing import make_ready
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.imports.formats import FORMATS
@@ -98,6 +99,7 @@ def import_files(
     settings = settings_of(recording, wanted.rig or suit.skeleton.name, wanted.reconstructor)
     if is_fused(settings) and not recording.fused:
         raise GatewayError(f"--reconstructor {wanted.reconstructor}: the files hold no orientations")
+    make_ready(settings.reconstructor)
     if wanted.neutral is not None:
         suit = _aligned(recording, suit, settings, wanted.neutral, wanted.forward)
     elif wanted.rig is None and FORMATS[name].axes == "modules":

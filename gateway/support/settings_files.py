@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import types
 import typing
@@ -20,6 +21,8 @@ Model = TypeVar("Model", bound=BaseModel)
 
 _SECRET = re.compile("password|secret|token|credential", re.IGNORECASE)
 """Names of settings whose value is never repeated."""
+_NAMED_BY = {"bodies": "body", "rigs": "rig"}
+"""The setting of a file that names another one, by the folder of the shipped ones."""
 _MOST_PROBLEMS = 20
 """Said of one file at a time."""
 _LONGEST_LINE = 400
@@ -36,7 +39,8 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
     """Return the file that ``name`` means: a path (also relative to the naming file's folder), or a shipped
     one.
 
-    kind: "bodies" or "rigs". Raises ``SettingsError`` naming the shipped ones.
+    kind: a folder of the shipped ones, such as "rigs"; beside: the file that names it. Raises
+    ``SettingsError`` naming the shipped ones.
     """
     candidates = [Path(name)]
     if beside is not None:
@@ -44,11 +48,15 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
         candidates.insert(0, beside.parent / name)
     candidates.append(shipped_folder() / kind / f"{name}.yaml")
     for path in candidates:
-        if path.is_file():
-            return path
+        # A name of any length or character may stand there, which the system refuses by errors of its own.
+        with contextlib.suppress(OSError, ValueError):
+            if path.is_file():
+                return path
     shipped = sorted(path.stem for path in (shipped_folder() / kind).glob("*.yaml"))
+    where = "" if beside is None else f"{beside}: '{_NAMED_BY.get(kind, kind)}': "
     raise SettingsError(
-        f"there is no file '{name}', and no shipped one of that name in {kind}{nearest(name, shipped)}"
+        f"{where}there is no file '{_shortened(name)}', and no shipped one of that name in {kind}"
+        + nearest(name, shipped)
     )
 
 
