@@ -378,14 +378,22 @@ class Checked:
                 seen, old = np.mean((u - at_rest) ** 2), was[s].unaided_square
                 expected = old + (1.0 - np.exp(-dt / tuning.acceleration_memory_s)) * (seen - old)  # (40)
                 assert segment.unaided_square == pytest.approx(expected)
+            gravity = np.zeros((3, 3)), np.zeros(3)
+            if now.bridged_s > tuning.longest_bridge_s and lasted_s == dt:
+                self.compared["after_gap"] += 1
+                gravity = known(segment.P, u, at_rest, segment.felt_square, tuning.huber)  # (71)
             if not work.segments[now.chain].aided:
                 v = max(square, tuning.acceleration_share * segment.unaided_square)  # (39)
                 v *= window_s / dt * counts[now.chain]
-                self.told("unaided", work, before, s, known(segment.P, u, at_rest, v, tuning.huber))
+                row = known(segment.P, u, at_rest, v, tuning.huber)
+                self.told("unaided", work, before, s, (row[0] + gravity[0], row[1] + gravity[1]))
                 continue
             if tilt > tuning.unsettled_tilt**2:
                 v = square * window_s / dt
-                self.told("starting", work, before, s, known(segment.P, u, at_rest, v, tuning.huber))
+                row = known(segment.P, u, at_rest, v, tuning.huber)
+                self.told("starting", work, before, s, (row[0] + gravity[0], row[1] + gravity[1]))
+            elif gravity[0].any():
+                self.told("gravity", work, before, s, gravity)
 
     def follow_sun(self, body, state, tuning, work, dt):
         before, was, e = own(work), state.segments.copy(), work.shared.sun.copy()
@@ -633,8 +641,8 @@ LEAST = {
     "predict": 4000, "coast": 500, "bridge": 20, "average": 4000, "bridged_average": 10, "vibration": 4000,
     "start": 20, "joint_row": 500, "open_joint_row": 1000, "heading": 1000, "joint_arms": 200,
     "fixed_point": 150, "pair": 60, "device": 3, "open_device": 50, "stance": 250, "zero_rate_watch": 4000,
-    "zero_rate": 1000, "unaided": 40, "seen": 500, "starting": 100, "sun": 60, "corrections": 20,
-    "compass": 4000, "clipped": 300, "made_up": 6,
+    "zero_rate": 1000, "unaided": 40, "seen": 500, "starting": 40, "sun": 60, "corrections": 20,
+    "compass": 4000, "clipped": 300, "made_up": 6, "after_gap": 3,
 }  # fmt: skip
 """How often each has to be compared over the chains: a reference that is hardly asked guards nothing."""
 UPDATES = {JointReconstructor: ("update", 8000), OutwardReconstructor: ("outward", 2500)}

@@ -75,3 +75,26 @@ def test_a_segment_that_came_back_amid_a_body_does_not_turn_the_body():
     beyond = gives / (gives + above_gives)
     np.testing.assert_allclose(turns, [beyond - 1.0] * 3 + [beyond] * 2)
     assert abs(turns[0]) < 0.01
+
+
+def silent(frames: list[ImuFrame], segment: int, first: int, n_frames: int) -> list[ImuFrame]:
+    """Return them without the samples of one module in ``n_frames`` from ``first`` on."""
+    held = list(frames)
+    for k in range(first, first + n_frames):
+        status, lost = held[k].status.copy(), np.zeros((len(held[k].status), 1))
+        status[segment], lost[segment] = Status.MISSING.value, np.nan
+        force, rate = held[k].specific_force + lost, held[k].angular_rate + lost
+        held[k] = replace(held[k], status=status, specific_force=force, angular_rate=rate)
+    return held
+
+
+def test_a_module_that_was_silent_in_full_swing_finds_back_to_its_neighbours(frames):
+    """Half of them were more than 12° off 0.6 s later, between neighbours that knew better."""
+    found = []
+    for first in (800, 900, 1000, 1100):
+        for segment in (1, 2, 3):
+            filter_ = JointReconstructor(SUIT, 0.01, ChainSettings(uses_field=False))
+            pose = filter_.update_many(silent(frames, segment, first, 40)[: first + 101])[-1]
+            truth = fast_motion(SUIT, SEED).state(np.array([pose.time_ns * 1e-9])).q_wb
+            found.append(orientation_error(pose.q_wb[np.newaxis], truth).inclination.max())
+    assert np.degrees(np.median(found)) < 9.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gateway.reconstruction.inertial.tree.prediction import watch_vibration
 from gateway.reconstruction.inertial.tree.start import second_order_variance
@@ -48,23 +49,35 @@ def test_nothing_is_made_of_what_lies_on_two_sides_of_a_gap():
     assert watched(forces, gaps={100}) < 0.1**2
 
 
-@pytest.mark.parametrize("sigma", [0.05, 0.2, 0.4])
-def test_it_is_the_mean_square_of_the_second_order_of_a_tilt(sigma):
-    rng, u = np.random.default_rng(2), np.array([0.0, 0.0, 9.81])
-    segment = initial_state(1, 0).segments[0]
-    segment.P[0, 0] = segment.P[1, 1] = sigma**2
-    tilts = np.zeros((200_000, 3))
-    tilts[:, :2] = sigma * rng.standard_normal((200_000, 2))
-    second = 0.5 * np.cross(tilts, np.cross(tilts, u))
-    assert second_order_variance(segment, u, TUNING, 1.0) == pytest.approx(
-        np.mean(second[:, 2] ** 2), rel=0.05
-    )
+def uncertain(child, parent):
+    """Two segments whose tilts have these standard deviations, rad."""
+    both = initial_state(2, 0).segments
+    for segment, sigma in zip(both, (child, parent), strict=True):
+        segment.P[0, 0] = segment.P[1, 1] = sigma**2
+    return both[0], both[1]
+
+
+@pytest.mark.parametrize("sigmas", [(0.05, 0.05), (0.2, 0.05), (0.1, 0.3), (0.3, 0.3)])
+def test_it_covers_what_a_row_about_the_mean_of_both_sides_leaves_out(sigmas):
+    rng, y = np.random.default_rng(2), np.array([6.0, 0.0, 9.81])
+    tilts = np.array(sigmas)[:, None, None] * rng.standard_normal((2, 100_000, 3)) * [1.0, 1.0, 0.0]
+    angles = np.linalg.norm(tilts, axis=2, keepdims=True)
+    gibbs = tilts * 2.0 * np.tan(0.5 * angles) / angles
+    u, u_p = (Rotation.from_rotvec(-tilt).apply(y) for tilt in tilts)
+    left = u - u_p - np.cross(0.5 * (u + u_p), gibbs[0] - gibbs[1])
+    assert np.mean(np.sum(left**2, axis=1)) < second_order_variance(*uncertain(*sigmas), y, TUNING, 1.0)
+
+
+def test_where_one_side_is_known_nothing_is_left_out():
+    y, tilt = np.array([6.0, -2.0, 9.81]), np.array([1.1, -0.5, 0.7])
+    u = Rotation.from_rotvec(-tilt).apply(y)
+    gibbs = tilt / np.linalg.norm(tilt) * 2.0 * np.tan(0.5 * np.linalg.norm(tilt))
+    np.testing.assert_allclose(np.cross(0.5 * (u + y), gibbs), u - y, atol=1e-12)
+    assert second_order_variance(*uncertain(1.0, 0.0), y, TUNING, 1.0) == 0.0
 
 
 def test_rows_that_come_often_share_it():
-    segment = initial_state(1, 0).segments[0]
-    segment.P[0, 0] = segment.P[1, 1] = 0.04
-    u = np.array([3.0, 4.0, 12.0])
-    assert second_order_variance(segment, u, TUNING, 0.01) == pytest.approx(
-        100.0 * second_order_variance(segment, u, TUNING, 1.0)
+    both, u = uncertain(0.2, 0.2), np.array([3.0, 4.0, 12.0])
+    assert second_order_variance(*both, u, TUNING, 0.01) == pytest.approx(
+        100.0 * second_order_variance(*both, u, TUNING, 1.0)
     )

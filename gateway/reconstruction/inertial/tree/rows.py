@@ -21,7 +21,12 @@ from gateway.reconstruction.inertial.tree.lever_arms import (
     relative_covariance,
     spread,
 )
-from gateway.reconstruction.inertial.tree.prediction import felt_into, is_short_gap, row_inflation
+from gateway.reconstruction.inertial.tree.prediction import (
+    FIRST_SAMPLE_S,
+    felt_into,
+    is_short_gap,
+    row_inflation,
+)
 from gateway.reconstruction.inertial.tree.start import (
     forget_evidence,
     gather_heading,
@@ -218,10 +223,9 @@ def _see_joint(joint: Joint, tuning: Tuning, dt: float) -> None:
                 now.u[i] -= now.K[i, j] * link.beyond[j]
         # (23) v_1 + (σ_b μ)²
         variance += (link.slack * moved) ** 2 * tuning.row_memory_s / dt
-    # (20) … + ρ_s + ρ_p + ε_s + ε_p
+    # (20) … + ρ_s + ρ_p + ε_s
     variance += child.vibration.square + parent.vibration.square
-    of_child = second_order_variance(child, now.u, tuning, dt)
-    now.row_variance = variance + (of_child + second_order_variance(parent, now.u_parent, tuning, dt))
+    now.row_variance = variance + second_order_variance(child, parent, now.u, tuning, dt)
     if child.heading == OBSERVED and parent.heading == OBSERVED:
         now.row_variance += _heading_variance(joint, tuning, dt)
 
@@ -467,6 +471,10 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
         if now.validity < FORCE:
             continue
         note_acceleration(segment, body.world, tuning, dt)
+        if now.bridged_s > tuning.longest_bridge_s and segment.averages.long_seconds <= FIRST_SAMPLE_S:
+            # (71) v = A_f²: one look at gravity, as good as single samples have been lately
+            felt = segment.averages.long_force
+            known_row(now, segment, felt, body.world.at_rest, segment.felt_square, tuning)
         if first.aided:
             starting_row(now, segment, body.world, tuning, dt)
         else:
@@ -475,19 +483,21 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
 
 @compiled
 def note_acceleration(segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
-    """Update A_1² of (40), (m/s²)², the mean square acceleration over the unaided window, aided or not.
+    """Update A_1² of (40) and A_f² of (71), (m/s²)², mean squares of acceleration, aided or not.
 
     It counts only while the tilt is known: a wrong tilt would look like an acceleration.
     """
     tilt = segment.P[0, 0] + segment.P[1, 1]
     if segment.averages.long_seconds < tuning.unaided_window_s or tilt > tuning.aided_tilt**2:
         return
-    square = 0.0
+    square, felt = 0.0, 0.0
     for i in range(3):
         square += (segment.averages.long_force[i] - world.at_rest[i]) ** 2 / 3.0
+        felt += (segment.averages.last_force[i] - world.at_rest[i]) ** 2 / 3.0
     # (40)
     gain = 1.0 - math.exp(-dt / tuning.acceleration_memory_s)
     segment.unaided_square += gain * (square - segment.unaided_square)
+    segment.felt_square += gain * (felt - segment.felt_square)
 
 
 @compiled

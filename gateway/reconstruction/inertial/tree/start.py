@@ -91,6 +91,7 @@ def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning:
     segment.silent_s, segment.averages.seconds, segment.averages.long_seconds = 0.0, 0.0, 0.0
     segment.joint_nis = 1.0
     segment.unaided_square = (tuning.unaided_speed / tuning.unaided_window_s) ** 2
+    segment.felt_square = tuning.start_tilt**2 * dot(world.gravity, world.gravity)
     _start_watches(segment)
     for i in range(3):
         segment.bias[i], segment.rate[i], segment.rate_slope[i] = 0.0, w[i], np.nan
@@ -174,16 +175,19 @@ def tilt_spread(segment: Segment, tuning: Tuning, interval_s: float) -> float:
 
 
 @compiled
-def second_order_variance(segment: Segment, u: FloatArray, tuning: Tuning, interval_s: float) -> float:
-    """Return ε_s of (21), (m/s²)²: the variance of what a linearised row leaves out.
+def second_order_variance(
+    child: Segment, parent: Segment, u: FloatArray, tuning: Tuning, interval_s: float
+) -> float:
+    """Return ε_s of (21), (m/s²)²: the variance of what a joint's linearised row leaves out.
 
-    u: (3,) of the segment, m/s². interval_s: time between rows. A tilt δ moves u by ``δ × u + ½ δ × (δ ×
-    u)``. Where tilts are as uncertain as at a start in motion the second term is larger than the noise, and
-    lasts as long as the tilt: taken for linear, a few rows would make a wrong tilt certain.
+    u: (3,) at the joint, m/s². interval_s: time between rows. About the mean of both sides a row leaves out
+    ``½ (δ_s × δ_p) × u``: nothing where one side is known, however wrong the other is. Where both tilts are
+    as uncertain as at a start in motion that is larger than the noise, and lasts as long as the tilts: taken
+    for linear, a few rows would make wrong tilts certain.
     """
-    tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
-    variance: float = 2.0 * tilt * tilt * dot(u, u) * max(1.0, tuning.tilt_memory_s / interval_s)
-    return variance
+    of_child = 0.5 * (child.P[0, 0] + child.P[1, 1])
+    of_parent = 0.5 * (parent.P[0, 0] + parent.P[1, 1])
+    return float(4.0 * of_child * of_parent * dot(u, u) * max(1.0, tuning.tilt_memory_s / interval_s))
 
 
 @compiled

@@ -1,0 +1,84 @@
+"""What a gyroscope misses at the end of its range is made up for, and claimed while it is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gateway.body.rig import load_rig
+from gateway.frames import Clipped, ImuFrame
+from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings, JointReconstructor
+
+RATE_HZ, PEAK = 100, 12.0
+"""Of samples and of the swing, rad/s."""
+
+
+def swinging(axis, hertz, limit):
+    """A module that swings about a vertical axis (3,), module axes, and its headings, rad: every half swing
+    goes on to the same side."""
+    times = np.arange(-RATE_HZ, 4 * RATE_HZ) / RATE_HZ
+    phase = 2.0 * np.pi * hertz * np.maximum(times, 0.0)
+    rate = PEAK * 0.5 * (1.0 - np.cos(phase))[:, None] * axis
+    heading = PEAK * 0.5 * (np.maximum(times, 0.0) - np.sin(phase) / (2.0 * np.pi * hertz))
+    shown = np.clip(rate, -limit, limit)
+    frames = [
+        ImuFrame(
+            sequence=k, time_ns=10**10 + 10**7 * k, specific_force=9.81 * axis[None], angular_rate=shown[[k]],
+            magnetic_field=np.full((1, 3), np.nan), status=np.zeros(1, np.uint8),
+            gap_ns=np.zeros(1, np.int64),
+            clipped=np.array([Clipped.ANGULAR_RATE if (shown[k] != rate[k]).any() else 0], np.uint8),
+        )
+        for k in range(len(times))
+    ]  # fmt: skip
+    return frames, heading
+
+
+def solved(frames):
+    """Headings turned by since the first frame and standard deviations, rad (T,), and P at the end (6, 6)."""
+    suit = load_rig("single_placed")
+    suit = replace(suit, local_devices=(), sensor_to_segment=np.array([[1.0, 0.0, 0.0, 0.0]]))
+    reconstructor = JointReconstructor(suit, 1.0 / RATE_HZ, ChainSettings(uses_field=False))
+    poses = [reconstructor.update(frame) for frame in frames]
+    turns = Rotation.from_quat(np.stack([pose.q_wb[0] for pose in poses]), scalar_first=True)
+    steps = np.array([0.0, *(turns[1:] * turns[:-1].inv()).as_rotvec()[:, 2]])
+    return np.cumsum(steps), np.array([pose.sigma[0] for pose in poses])
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("axis", np.eye(3))
+@pytest.mark.parametrize("cut", [0.6, 0.75, 0.9])
+def test_a_peak_that_is_cut_is_made_up_for(axis, side, cut):
+    """As far as the cubic through values and slopes where a cosine is cut has its area, in closed form."""
+    frames, heading = swinging(axis, 1.5, cut * PEAK)
+    frames = [replace(frame, angular_rate=side * frame.angular_rate) for frame in frames]
+    missed = heading[-1] - np.trapezoid([abs(frame.angular_rate).max() for frame in frames], dx=1.0 / RATE_HZ)
+    half = np.arccos(2.0 * cut - 1.0)  # of the stretch, as an angle
+    share = half**2 * np.sin(half) / 3.0 / (np.sin(half) - half * np.cos(half))
+    found, _ = solved(frames)
+    assert missed > 0.1
+    assert side * found[-1] == pytest.approx(heading[-1] - (1.0 - share) * missed, abs=0.08 * missed)
+
+
+def test_what_is_missed_is_claimed_at_once_and_given_back_when_it_is_made_up_for():
+    frames, heading = swinging(np.array([0.0, 0.0, 1.0]), 1.0, 0.75 * PEAK)
+    found, sigma = solved(frames)
+    clipped = np.flatnonzero([frame.clipped[0] for frame in frames])
+    first = clipped[: np.argmax(np.diff(clipped) > 1) + 1]
+    error, before = np.abs(found - heading), sigma[first[0] - 1]
+    assert error[first].max() > 0.2
+    grown = np.sqrt(np.maximum(sigma[first] ** 2 - before**2, 0.0))
+    assert (error[first] <= 2.0 * grown + 0.02).all()
+    after = first[-1] + 3
+    assert error[after] < 0.15 * error[first].max()
+    assert sigma[after] ** 2 - before**2 < 0.1 * grown.max() ** 2
+
+
+def test_a_gyroscope_that_stays_at_its_end_is_not_made_up_for():
+    frames, _ = swinging(np.array([0.0, 0.0, 1.0]), 0.8, 0.4 * PEAK)
+    clipped = np.flatnonzero([frame.clipped[0] for frame in frames])
+    found, sigma = solved(frames)
+    shown = np.cumsum([frame.angular_rate[0, 2] for frame in frames]) / RATE_HZ
+    assert len(clipped) > 0.4 * RATE_HZ
+    assert abs(found[-1] - shown[-1]) < 0.2
+    assert sigma[clipped[-1]] > 1.0
