@@ -235,7 +235,9 @@ class Cluster:
         """folder: for what the servers keep. passwords: none: everybody may do everything. is_cuttable: the
         network between the nodes can be cut, by ``routes``."""
         self.routes: CuttableRoutes | None = None
-        ports = [free_ports(4) for _ in range(NODES)]
+        # asked for together: ports that are given back may be given again
+        free = free_ports(4 * NODES)
+        ports = [free[index::NODES] for index in range(NODES)]
         routes = [[own[1] for own in ports]] * NODES
         if is_cuttable:
             self.routes = CuttableRoutes([own[1] for own in ports])

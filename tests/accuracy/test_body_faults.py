@@ -55,13 +55,7 @@ def test_a_module_that_dies_and_comes_back(suit, calm):
 @pytest.mark.parametrize(
     ("name", "lasts_s"),
     [
-        pytest.param(
-            "gyroscope saturated for 2 s",
-            2.0,
-            marks=pytest.mark.xfail(
-                strict=True, raises=AssertionError, reason="1.6° on a neighbour that shows it its heading"
-            ),
-        ),
+        ("gyroscope saturated for 2 s", 2.0),
         ("gyroscope stuck for 5 s", 4.0),
     ],
 )

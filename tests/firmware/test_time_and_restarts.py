@@ -111,5 +111,8 @@ async def test_a_firmware_that_hangs_is_restarted_by_its_watchdog(tmp_path, boar
                 return  # it has another pseudo-terminal now
             since = bench.mark()
             assert await bench.until(lambda: bool(bench.of(Health, since)), PATIENCE_S)
+            reason = "restarted by the watchdog"
+            assert await bench.until(
+                lambda: reason in {each.packet.text for each in bench.of(LogLine)}, PATIENCE_S
+            )
         assert bench.of(Health)[-1].packet.resets == 1
-        assert "restarted by the watchdog" in {each.packet.text for each in bench.of(LogLine)}

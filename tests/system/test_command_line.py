@@ -129,7 +129,8 @@ def test_a_wrong_configuration_is_one_clear_line(tmp_path, changes, said):
 def test_a_wrong_link_ends_the_service_before_anything_is_opened(tmp_path, gateway):
     code, _, err = gateway("run", "-c", write_config(tmp_path, 1883, "serail:///dev/ttyUSB0"))
     assert code == 1
-    assert err == "mocap-gateway: serail:///dev/ttyUSB0: unknown scheme 'serail' (did you mean 'serial'?)\n"
+    why = "unknown scheme 'serail' (did you mean 'serial'?)"
+    assert err == f"mocap-gateway: link 'suit': url: serail:///dev/ttyUSB0: {why}\n"
 
 
 def test_a_rig_with_an_unknown_segment_names_the_nearest(tmp_path):

@@ -42,9 +42,9 @@ from gateway.reconstruction.inertial.observations import (
 )
 from gateway.reconstruction.inertial.operators import (
     Chain,
+    Felt,
     Instant,
     Rotation,
-    Told,
     Weights,
     advance,
     initial_state,
@@ -356,7 +356,7 @@ def _largest_error_at_rest(
         R = rotation_matrix.multiply(rotation_matrix.from_rotation_vector(turn), truth)
         now = Rotation(R, np.zeros(3), np.zeros(3), covariance)
         for _ in range(_N_FRAMES):
-            now = next_rotation(now, _INTERVAL_S, _INTERVAL_S, Told(f, x, up, field), U, weights)
+            now = next_rotation(now, _INTERVAL_S, _INTERVAL_S, Felt(f, x, up, field), U, weights)
         off = now.R - truth  # the sum of its squares is 8 sin²(angle / 2)
         largest = max(largest, 2.0 * math.asin(min(1.0, math.sqrt((off * off).sum() / 8.0))))
     return largest

@@ -497,11 +497,11 @@ def _observe(body: Position, what: int, value: FloatArray, variance: float) -> N
     """
     for k in range(2):
         P, x = body.P[k], body.x
-        told, total = (P[what, 0], P[what, 1], P[what, 2]), P[what, what] + variance
-        gain = told[0] / total, told[1] / total, told[2] / total
+        row, total = (P[what, 0], P[what, 1], P[what, 2]), P[what, what] + variance
+        gain = row[0] / total, row[1] / total, row[2] / total
         for i in range(3):
             for j in range(3):
-                P[i, j] -= gain[i] * told[j]
+                P[i, j] -= gain[i] * row[j]
         for axis in range(2 * k, 2 + k):
             innovation = value[axis] - x[axis, what]
             for i in range(3):

@@ -145,11 +145,11 @@ class IndependentReconstructor:
         is_blind = _beyond(w, RANGES.largest_rate) | ((clipped & Clipped.ANGULAR_RATE) > 0)
 
         is_sound = [False] * len(status)
-        told = (v.tolist() for v in (is_inertial, is_blind, is_unaided, has_field, observation.status))
+        flags = (v.tolist() for v in (is_inertial, is_blind, is_unaided, has_field, observation.status))
         modules = zip(self._observed, self._rows, self._filters, strict=True)
-        told_of = list(zip(*told, strict=True))
+        flags_of = list(zip(*flags, strict=True))
         for segment, row, module in modules:
-            inertial, blind, unaided, field, came_as = told_of[row]
+            inertial, blind, unaided, field, came_as = flags_of[row]
             if not inertial or (blind and module.is_silent(observation.time_ns)):
                 status[segment] = HELD if module.is_known else MISSING
                 continue

@@ -77,7 +77,7 @@ class ModuleFilter:
         """Forget everything but the parameters."""
         self.has_field = False
         """Whether the module has ever given one."""
-        self._heard_ns = self._sound_ns = 0
+        self._received_ns = self._sound_ns = 0
         self._was_blind = False
         self._last: Sample | None = None
         """The last sound one, of ``_sound_ns``."""
@@ -106,7 +106,7 @@ class ModuleFilter:
 
     def is_silent(self, time_ns: int) -> bool:
         """Return whether the last values are older than ``LONGEST_GAP_S``, too old to go on from."""
-        return time_ns - self._heard_ns > _LONGEST_GAP_NS
+        return time_ns - self._received_ns > _LONGEST_GAP_NS
 
     def take(self, sample: Sample, time_ns: int) -> None:
         """Take a sound sample. A gap before it is bridged, or the module begins to settle."""
@@ -114,7 +114,7 @@ class ModuleFilter:
             self._catch_up(self._last, sample, (time_ns - self._sound_ns) * 1e-9)
         self._kept = None
         self._was_blind = False
-        self._heard_ns = self._sound_ns = time_ns
+        self._received_ns = self._sound_ns = time_ns
         self._last = sample
         self._advance(sample)
 
@@ -129,7 +129,7 @@ class ModuleFilter:
             self._kept = _Kept(self._vqf.state, self._before, self._pause_s, since, self._q_wi, self._sigma)
         self._was_blind |= is_blind
         if not is_blind:
-            self._heard_ns = time_ns
+            self._received_ns = time_ns
         if is_blind or self._last is None or time_ns - self._sound_ns <= LONGEST_BRIDGE_S * 1e9:
             self._advance(sample)
 

@@ -277,7 +277,7 @@ def _advance_gyro_free(
             now,
             state.step[s] if state.step[s] > 0.0 else dt,
             dt,
-            Told(
+            Felt(
                 instant.observed.specific_force[s],
                 instant.observed.magnetic_field[s],
                 motion.acceleration[s] - chain.gravity,
@@ -362,7 +362,7 @@ class Rotation(NamedTuple):
     covariance: FloatArray  # (6, 6) of the errors of R (rad) and rate (rad/s), segment axes
 
 
-class Told(NamedTuple):
+class Felt(NamedTuple):
     """Two vectors that are known on both sides, (3,) each."""
 
     f: FloatArray  # specific force, segment axes, m/s²
@@ -373,13 +373,13 @@ class Told(NamedTuple):
 
 @compiled
 def next_rotation(
-    before: Rotation, dt_before: float, dt: float, told: Told, U: FloatArray, weights: Weights
+    before: Rotation, dt_before: float, dt: float, felt: Felt, U: FloatArray, weights: Weights
 ) -> Rotation:
     """Return the orientation at t_k from the one before and the module's reading.
 
     U (3,) joint to module. dt: t_k − t_{k−1}, dt_before: t_{k−1} − t_{k−2}, s.
     """
-    f, x, s_w, h_w = told
+    f, x, s_w, h_w = felt
     w = before.rate
     turn = rotation_matrix.from_rotation_vector(w * dt)
     R = rotation_matrix.multiply(before.R, turn)

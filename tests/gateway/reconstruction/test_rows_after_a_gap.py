@@ -19,7 +19,7 @@ N = len(BODY.segments)
 def information_of_a_mean_over(seconds):
     """Of an unaided row about tilt, rad⁻²: the mean specific force is gravity."""
     segment, now = initial_state(N, 1).segments[0], work_space(N).segments[0]
-    segment.averages.seconds = seconds
+    segment.averages.long_seconds = seconds
     segment.unaided_square = (TUNING.unaided_speed / TUNING.unaided_window_s) ** 2 / TUNING.acceleration_share
     segment.averages.long_force[...] = BODY.world.at_rest
     unaided_row(now, segment, BODY.world, 1, TUNING, DT)
@@ -53,7 +53,7 @@ def test_averages_begun_in_motion_are_means_of_what_came_since():
     """A segment that turns evenly: its swing is R [ω]×² and a point on it feels that much, at once."""
     state, work, omega = initial_state(1, 0), work_space(1), 8.0
     segment, now = state.segments[0], work.segments[0]
-    now.validity, arm = Validity.FORCE, np.array([0.3, 0.0, 0.0])
+    now.validity, now.is_felt, arm = Validity.FORCE, 1, np.array([0.3, 0.0, 0.0])
     for k in range(8):
         angle = omega * DT * k
         c, s = np.cos(angle), np.sin(angle)

@@ -212,30 +212,30 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
         if compass.seconds > 0.0:
             off = now.unwrapped - compass.error
             weight = 1.0 / (variance + off * off)
-            now.told += weight
-            now.told_angle += weight * now.unwrapped
-            now.told_turn += weight * now.turn[2]
+            now.information += weight
+            now.information_angle += weight * now.unwrapped
+            now.information_turn += weight * now.turn[2]
         is_first = segments[s].heading == UNOBSERVED or now.apart == CUT_OFF
         # (32) without any compass: what hangs together turns by its share
         if variance == 0.0 and p >= 0 and is_first:
-            now.told += 1.0 / give_of(segments[s], tuning)
+            now.information += 1.0 / give_of(segments[s], tuning)
         if p >= 0:
-            passed = 1.0 / (1.0 + now.apart * now.told)
-            works[p].told += passed * now.told
-            works[p].told_angle += passed * (now.told_angle - now.expected * now.told)
-            works[p].told_turn += passed * now.told_turn
+            passed = 1.0 / (1.0 + now.apart * now.information)
+            works[p].information += passed * now.information
+            works[p].information_angle += passed * (now.information_angle - now.expected * now.information)
+            works[p].information_turn += passed * now.information_turn
     # (32) from root to leaves
     for s in range(len(links)):
         now, p, compass = works[s], links[s].parent, segments[s].compass
+        total = 1.0 + now.apart * now.information
         if p >= 0:
-            total = 1.0 + now.apart * now.told
             above = segments[p].compass
-            compass.error = (above.error + now.expected + now.apart * now.told_angle) / total
+            compass.error = (above.error + now.expected + now.apart * now.information_angle) / total
             compass.error_variance = now.apart / total + above.error_variance / (total * total)
         elif variance > 0.0:
             _turn_root(compass, now, variance, tuning, dt)
         else:
-            compass.error = (now.expected + now.apart * now.told_angle) / (1.0 + now.apart * now.told)
+            compass.error = (now.expected + now.apart * now.information_angle) / total
             compass.error_variance = segments[s].P[2, 2]
 
 
@@ -259,7 +259,7 @@ def _compare(
         has_compass = has_compass or segments[s].compass.seconds > 0.0
     for s in range(len(links)):
         segment, now, p = segments[s], works[s], links[s].parent
-        before, now.told, now.told_angle, now.told_turn = 0.0, 0.0, 0.0, 0.0
+        before, now.information, now.information_angle, now.information_turn = 0.0, 0.0, 0.0, 0.0
         now.expected = 0.0
         if p >= 0:
             before = works[p].unwrapped
@@ -330,13 +330,13 @@ def _turn_root(compass: Compass, now: SegmentWork, variance: float, tuning: Tuni
     may drift, and hardly at all where the field is wrong.
     """
     # the building's field is off for all alike too
-    field = variance + 1.0 / now.told
+    field = variance + 1.0 / now.information
     # a correction of the filter turns what is published by the filter's share alone
     wrong = variance / tuning.compass_clean**2
-    compass.error += compass.share / (1.0 + wrong) * now.told_turn / now.told
+    compass.error += compass.share / (1.0 + wrong) * now.information_turn / now.information
     compass.share = now.apart / (now.apart + field)
     compass.error_variance = compass.share * field
-    wanted = now.expected + compass.share * (now.told_angle / now.told - now.expected)
+    wanted = now.expected + compass.share * (now.information_angle / now.information - now.expected)
     compass.settled_s += dt
     if compass.settled_s > tuning.compass_settles_s:
         off = wanted - compass.error

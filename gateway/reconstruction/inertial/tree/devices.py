@@ -78,12 +78,12 @@ def device_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float)
         note_frame(device, segment, now, tuning, time_s)
         if find_local_pair(work.shared.pair, device, mount, body.world, tuning, time_s):
             _moving_row(body, state, tuning, work, d)
-        if has_spoken(device, tuning) and is_telling(device, tuning):
+        if has_reported(device, tuning) and is_informative(device, tuning):
             now.aided = 1
 
 
 @compiled
-def has_spoken(device: Device, tuning: Tuning) -> bool:
+def has_reported(device: Device, tuning: Tuning) -> bool:
     """Return whether a row has come from the device lately.
 
     How lately depends on the time between its last two readings.
@@ -95,7 +95,7 @@ def has_spoken(device: Device, tuning: Tuning) -> bool:
 
 
 @compiled
-def is_telling(device: Device, tuning: Tuning) -> bool:
+def is_informative(device: Device, tuning: Tuning) -> bool:
     """Return whether the device shows the mean acceleration better than (39), that it is small, does."""
     return bool(device.fit_density < tuning.unaided_speed**2 / tuning.unaided_window_s)
 

@@ -333,9 +333,9 @@ class SegmentWork(Record):
     is_beyond: int  # 1: turns with the segment whose heading was shown
     is_settled: int  # 1: the sun has just shown its heading
     density: float  # of the gyroscope's noise, (rad/s)²/Hz
-    told: float  # by compasses of the segment and those beyond, of its heading's error: weight, 1/rad²
-    told_angle: float  # and weight times angle, 1/rad
-    told_turn: float  # and weight times what corrections have just turned it by, 1/rad
+    information: float  # by compasses of the segment and those beyond, of its heading's error: weight, 1/rad²
+    information_angle: float  # and weight times angle, 1/rad
+    information_turn: float  # and weight times what corrections have just turned it by, 1/rad
     unwrapped: float  # rad, of the compass, so that neighbours differ by less than half a turn
     expected: float  # rad, error of the heading less that of the parent's, by motion alone
     apart: float  # and its variance, rad²

@@ -20,7 +20,7 @@ from gateway.geometry.records import Records, array_of
 from gateway.geometry.vectors import dot, is_finite
 from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
 from gateway.reconstruction.inertial.tree.compass import follow_field, share_headings
-from gateway.reconstruction.inertial.tree.devices import device_rows, has_spoken, take_reading
+from gateway.reconstruction.inertial.tree.devices import device_rows, has_reported, take_reading
 from gateway.reconstruction.inertial.tree.headings import follow_sun, take_sun
 from gateway.reconstruction.inertial.tree.prediction import (
     average,
@@ -537,7 +537,7 @@ def mark_unaided(body: Body, state: State, tuning: Tuning, work: Work, status: S
     for d in range(len(body.devices)):
         mount, device = body.devices[d], state.devices[d]
         is_starting = device.age_s == math.inf and work.shared.time_s < tuning.device_start_s
-        is_aiding = mount.kind == FIXED_POINT or has_spoken(device, tuning) or is_starting
+        is_aiding = mount.kind == FIXED_POINT or has_reported(device, tuning) or is_starting
         first = works[works[mount.segment].chain]
         first.sharing = max(first.sharing, 2 if is_aiding else 1)
     for s in range(len(links)):

@@ -164,10 +164,10 @@ def _gather(child: Segment, now: SegmentWork, above: SegmentWork, shared: Shared
         # (49) Λ_p ← … + Gᵀ T + Bᵀ A
         row = times_block((G[0, i], G[1, i], G[2, i], G[3, i], G[4, i], G[5, i]), T)
         for j in range(i + 1):
-            told = row[j]
+            product = row[j]
             if i < 3:
-                told += B[0, i] * A[0, j] + B[1, i] * A[1, j] + B[2, i] * A[2, j]
-            own_p[i, j] += told
+                product += B[0, i] * A[0, j] + B[1, i] * A[1, j] + B[2, i] * A[2, j]
+            own_p[i, j] += product
             own_p[j, i] = own_p[i, j]
     # (49) η_p ← … + η_edge + Gᵀ η_s; W η_s is kept for (51)
     times_vector_into(now.offset, W, evidence.own_vector)
