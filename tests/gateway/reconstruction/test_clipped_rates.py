@@ -35,7 +35,7 @@ def swinging(axis, hertz, limit):
 
 
 def solved(frames):
-    """Headings turned by since the first frame and standard deviations, rad (T,), and P at the end (6, 6)."""
+    """Headings turned by since the first frame, and standard deviations, rad (T,) each."""
     suit = load_rig("single_placed")
     suit = replace(suit, local_devices=(), sensor_to_segment=np.array([[1.0, 0.0, 0.0, 0.0]]))
     reconstructor = JointReconstructor(suit, 1.0 / RATE_HZ, ChainSettings(uses_field=False))
