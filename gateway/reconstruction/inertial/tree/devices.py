@@ -140,11 +140,15 @@ def _moving_row(body: Body, state: State, tuning: Tuning, work: Work, d: int) ->
     if turns_too:
         _level_only(pair.u, pair.y, body.world)
     variance = learning.variance
+    # one turn of the whole tree: this instant's averages are those before it
     is_unobserved = segment.heading == UNOBSERVED or now.turn[2] != 0.0
-    if body.segments[s].parent < 0 and segment.heading == UNOBSERVED:
-        uncertain = variance + tilt_spread(segment, tuning, interval)
-        gather_heading(segment.heading_sums, pair.u, pair.y, uncertain, tuning, interval)
-        _observe_root(body, state, tuning, work, s)
+    root = _root_that_turns_with(body, state, s)
+    if root >= 0 and not turns_too and state.segments[root].heading == UNOBSERVED:
+        is_unobserved = True
+        if work.segments[root].turn[2] == 0.0 and now.turn[2] == 0.0:
+            uncertain = variance + tilt_spread(segment, tuning, interval)
+            gather_heading(state.segments[root].heading_sums, pair.u, pair.y, uncertain, tuning, interval)
+            _observe_root(body, state, tuning, work, root)
     elif not is_unobserved and not turns_too:
         variance += sharing * learn_device(device, segment, shared, tuning, interval)
     if is_unobserved:
@@ -173,6 +177,20 @@ def _level_only(u: FloatArray, y: FloatArray, world: World) -> None:
     for i in range(3):
         u[i] += -y[i] - world.gravity[i]
         y[i] = world.at_rest[i]
+
+
+@compiled
+def _root_that_turns_with(body: Body, state: State, s: int) -> int:
+    """Return the root of segment s if all headings between the two are observed; else −1.
+
+    In ``outward`` nothing is handed back to a root: −1 but for the root itself.
+    """
+    links = body.segments
+    while links[s].parent >= 0:
+        if state.segments[s].heading == UNOBSERVED or not body.world.is_tree:
+            return -1
+        s = links[s].parent
+    return s
 
 
 @compiled

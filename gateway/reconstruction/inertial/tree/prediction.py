@@ -17,6 +17,7 @@ from gateway.frames import Clipped, FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite, norm
+from gateway.reconstruction.inertial.tree.start import turn_heading_sums
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Clip,
@@ -363,6 +364,10 @@ def turn_segments(body: Body, state: State, work: Work) -> None:
     All averages and readings that are kept in world axes turn with it.
     """
     segments, works = state.segments, work.segments
+    for s in range(len(segments)):
+        p = body.segments[s].parent
+        above = works[p].turn[2] if p >= 0 else 0.0
+        turn_heading_sums(segments[s].heading_sums, works[s].turn[2] - above)
     for s in range(len(segments)):
         now, segment = works[s], segments[s]
         if _is_turn(now.turn):

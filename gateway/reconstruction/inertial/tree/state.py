@@ -331,7 +331,6 @@ class SegmentWork(Record):
     sharing: int  # of a first segment: how many of its chain have a sample
     is_before: int  # 1: turns back, since that segment is known better
     is_beyond: int  # 1: turns with the segment whose heading was shown
-    is_settled: int  # 1: the sun has just shown its heading
     density: float  # of the gyroscope's noise, (rad/s)²/Hz
     information: float  # by compasses of the segment and those beyond, of its heading's error: weight, 1/rad²
     information_angle: float  # and weight times angle, 1/rad
@@ -472,7 +471,7 @@ def chain_body(
     links["phase"] = np.arange(skeleton.n_segments) % PHASES
     for device in devices:
         if device.quantity not in {Quantity.FIXED_POINT, Quantity.AIR_VELOCITY}:  # these turn with the body
-            links["heading_observable"][device.segment] = 1
+            links["heading_observable"][root_of(bridges.parents, device.segment) if is_tree else device.segment] = 1
     links["to_joint"] = -lever_arms
     links["from_parent"] = np.where(joined[:, None], bridges.before - lever_arms[bridges.parents], 0.0)
     links["is_bridged"], links["beyond"], links["slack"] = bridges.is_bridged, bridges.beyond, bridges.slack
@@ -484,6 +483,13 @@ def chain_body(
     world.magnetic_field[:] = suit.magnetic_field
     world.uses_field, world.is_tree = int(uses_field), int(is_tree)
     return Body(links, mounts, world)
+
+
+def root_of(parents: IntArray, s: int) -> int:
+    """Return the root of the tree of segment s. parents: (n,), −1 of a root."""
+    while parents[s] >= 0:
+        s = int(parents[s])
+    return s
 
 
 # The body: chains go on over segments without module
