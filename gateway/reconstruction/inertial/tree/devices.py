@@ -146,7 +146,7 @@ def _moving_row(body: Body, state: State, tuning: Tuning, work: Work, d: int) ->
     if root >= 0 and not turns_too and state.segments[root].heading == UNOBSERVED:
         is_unobserved = True
         if work.segments[root].turn[2] == 0.0 and now.turn[2] == 0.0:
-            uncertain = variance + tilt_spread(segment, tuning, interval)
+            uncertain = (variance + tilt_spread(segment, tuning, interval)) / tuning.heading_density
             gather_heading(state.segments[root].heading_sums, pair.u, pair.y, uncertain, tuning, interval)
             _observe_root(body, state, tuning, work, root)
     elif not is_unobserved and not turns_too:
