@@ -227,9 +227,7 @@ def test_a_real_chain_is_better_than_vqf_once_it_has_moved(kind, ratio):
 @pytest.mark.parametrize(
     ("kind", "part", "ratio"),
     [
-        pytest.param(
-            "rigid", Part("mid-motion", 0.5), 0.5, marks=_short("0.85: compasses need seconds to settle")
-        ),
+        ("rigid", Part("mid-motion", 0.5), 0.5),
         ("nonrigid", Part("mid-motion", 0.5), 1.3),
         ("rigid", Part("shaken", 0.2, shakes=1.5), 1.2),
     ],

@@ -513,18 +513,22 @@ class Checked:
         mount, device, pair = body.devices[d], state.devices[d].copy(), work.shared.pair.copy()
         s = mount.segment
         before, segment, now = own(work), state.segments[s].copy(), work.segments[s].copy()
+        above = [s]  # up to the root, as far as headings are observed and corrections reach it
+        while body.segments[above[-1]].parent >= 0:
+            above.append(body.segments[above[-1]].parent)
+        is_known = state.segments["heading"] == Heading.OBSERVED
+        reaches = len(above) == 1 or (body.world.is_tree and is_known[above[:-1]].all())
+        is_open = not is_known[s] or now.turn[2] != 0.0 or (reaches and not is_known[above[-1]])
         kernels.moving_row(body, state, tuning, work, d)
         interval_s = min(device.age_s, pair.span_s)
         sharing = max(1.0, pair.span_s / interval_s)
         u, y = pair.u + pair.arm @ (mount.arm + device.shift), pair.y  # (25)
         v = pair.variance + tuning.specific_force**2 + (tuning.lever_arm * now.motion) ** 2
         v = (v + segment.vibration.square) * sharing  # (26)
-        if segment.heading == Heading.UNOBSERVED and body.segments[s].parent < 0:
-            if state.segments[s].heading == Heading.UNOBSERVED:
+        if is_open:
+            # a root whose heading has just been shown is told that, too
+            if len(above) > 1 or state.segments[s].heading == segment.heading:
                 self.told("open_device", work, before, s, open_known(u, y, v))
-            return
-        if segment.heading == Heading.UNOBSERVED or now.turn[2] != 0.0:
-            self.told("open_device", work, before, s, open_known(u, y, v))
             return
         A = np.hstack([-pair.arm, pair.turn])
         u, added = self.point(tuning, work, d, state, (device, segment), A, u, y, interval_s)

@@ -140,21 +140,15 @@ def _moving_row(body: Body, state: State, tuning: Tuning, work: Work, d: int) ->
     if turns_too:
         _level_only(pair.u, pair.y, body.world)
     variance = learning.variance
-    # one turn of the whole tree: this instant's averages are those before it
     is_unobserved = segment.heading == UNOBSERVED or now.turn[2] != 0.0
-    root = _root_that_turns_with(body, state, s)
-    if root >= 0 and not turns_too and state.segments[root].heading == UNOBSERVED:
+    if not turns_too and _shows_world(body, state, tuning, work, s, interval):
         is_unobserved = True
-        if work.segments[root].turn[2] == 0.0 and now.turn[2] == 0.0:
-            uncertain = (variance + tilt_spread(segment, tuning, interval)) / tuning.heading_density
-            gather_heading(state.segments[root].heading_sums, pair.u, pair.y, uncertain, tuning, interval)
-            _observe_root(body, state, tuning, work, root)
-    elif not is_unobserved and not turns_too:
-        variance += sharing * learn_device(device, segment, shared, tuning, interval)
     if is_unobserved:
         unobserved_known_row(now, pair.u, pair.y, variance)
-    else:
-        known_row(now, segment, pair.u, pair.y, variance, tuning)
+        return
+    if not turns_too:
+        variance += sharing * learn_device(device, segment, shared, tuning, interval)
+    known_row(now, segment, pair.u, pair.y, variance, tuning)
 
 
 @compiled
@@ -180,10 +174,34 @@ def _level_only(u: FloatArray, y: FloatArray, world: World) -> None:
 
 
 @compiled
+def _shows_world(body: Body, state: State, tuning: Tuning, work: Work, s: int, interval_s: float) -> bool:
+    """Gather what a device on segment s shows of its tree's heading in the world, while that is unobserved.
+
+    Equations (54) and (55); ``work.shared.pair`` and ``learning`` have the device's row. Once the heading is
+    shown the whole tree turns to it. Returns whether it was unobserved: such a row must not count as if it
+    was known.
+    """
+    root = _root_that_turns_with(body, state, s)
+    if root < 0 or state.segments[root].heading == OBSERVED:
+        return False
+    segment, sums, pair = state.segments[s], state.segments[root].heading_sums, work.shared.pair
+    if work.segments[s].turn[2] == 0.0:
+        # (26) has counted already that readings share errors: the density, which counts that again, is undone
+        uncertain = work.shared.learning.variance + tilt_spread(segment, tuning, interval_s)
+        gather_heading(sums, pair.u, pair.y, uncertain / tuning.heading_density, tuning, interval_s)
+        variance, angle = shown_heading(sums, tuning)
+        if variance > 0.0:
+            state.segments[root].heading = OBSERVED
+            add_own(work.segments[root].evidence, (0.0, 0.0, 1.0), 0.0, variance)
+            turn_beyond(body, state, tuning, work, root, angle)
+    return True
+
+
+@compiled
 def _root_that_turns_with(body: Body, state: State, s: int) -> int:
     """Return the root of segment s if all headings between the two are observed; else −1.
 
-    In ``outward`` nothing is handed back to a root: −1 but for the root itself.
+    In ``outward``, where nothing is handed back to a root, only a root itself has one.
     """
     links = body.segments
     while links[s].parent >= 0:
@@ -191,16 +209,6 @@ def _root_that_turns_with(body: Body, state: State, s: int) -> int:
             return -1
         s = links[s].parent
     return s
-
-
-@compiled
-def _observe_root(body: Body, state: State, tuning: Tuning, work: Work, s: int) -> None:
-    """Turn the whole tree to the root's heading in the world once a device has shown that, equation (55)."""
-    variance, angle = shown_heading(state.segments[s].heading_sums, tuning)
-    if variance > 0.0:
-        state.segments[s].heading = OBSERVED
-        add_own(work.segments[s].evidence, (0.0, 0.0, 1.0), 0.0, variance)
-        turn_beyond(body, state, tuning, work, s, angle)
 
 
 # From readings to an acceleration

@@ -361,7 +361,7 @@ def propagate_own(P: FloatArray, R: FloatArray, dt: float) -> None:
 def turn_segments(body: Body, state: State, work: Work) -> None:
     """Turn each segment by its ``turn``, equation (1): R ← exp([δ]×) R.
 
-    All averages and readings that are kept in world axes turn with it.
+    All averages and readings that are kept in world axes turn with it, and what motion has shown of headings.
     """
     segments, works = state.segments, work.segments
     for s in range(len(segments)):

@@ -64,7 +64,7 @@ class Link(Record):
     """A segment as it is built and worn; constant."""
 
     parent: int  # nearest one towards the root with a module; −1: none, or has none itself
-    heading_observable: int  # 1: motion can show it: against the parent, or by a device on a root
+    heading_observable: int  # 1: motion can show it: against the parent, or of a root by a device of its tree
     to_joint: Vector  # module to proximal joint, own axes, m
     from_parent: Vector  # parent's module to this joint, parent's axes, m
     is_bridged: int  # 1: segments without module lie between; see ``bridges_of``
@@ -471,7 +471,8 @@ def chain_body(
     links["phase"] = np.arange(skeleton.n_segments) % PHASES
     for device in devices:
         if device.quantity not in {Quantity.FIXED_POINT, Quantity.AIR_VELOCITY}:  # these turn with the body
-            links["heading_observable"][root_of(bridges.parents, device.segment) if is_tree else device.segment] = 1
+            shown = root_of(bridges.parents, device.segment) if is_tree else device.segment
+            links["heading_observable"][shown] = 1
     links["to_joint"] = -lever_arms
     links["from_parent"] = np.where(joined[:, None], bridges.before - lever_arms[bridges.parents], 0.0)
     links["is_bridged"], links["beyond"], links["slack"] = bridges.is_bridged, bridges.beyond, bridges.slack
@@ -486,7 +487,7 @@ def chain_body(
 
 
 def root_of(parents: IntArray, s: int) -> int:
-    """Return the root of the tree of segment s. parents: (n,), −1 of a root."""
+    """Return the root of the tree that segment s is in. parents: (n,), −1 of a root."""
     while parents[s] >= 0:
         s = int(parents[s])
     return s
