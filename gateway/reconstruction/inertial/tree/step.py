@@ -19,13 +19,13 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records, array_of
 from gateway.geometry.vectors import dot, is_finite
 from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
+from gateway.reconstruction.inertial.tree.clipping import judge_samples
 from gateway.reconstruction.inertial.tree.compass import follow_field, share_headings
 from gateway.reconstruction.inertial.tree.devices import device_rows, has_reported, take_reading
 from gateway.reconstruction.inertial.tree.headings import follow_sun, take_sun
 from gateway.reconstruction.inertial.tree.prediction import (
     average,
     correct,
-    judge_samples,
     note_corrections,
     predict,
     turn_segments,
