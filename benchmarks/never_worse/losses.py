@@ -19,7 +19,7 @@ BURST_S = 0.04
 """Mean length of a loss; their lengths are drawn from an exponential distribution."""
 SILENCES_S = (0.05, 0.8)
 """Shortest and longest silence of a module in motion; their lengths are drawn evenly."""
-HEARD_S = 3.0
+HEARD_S = 10.0
 """Mean time in motion from one silence to the next, drawn from an exponential distribution."""
 IN_MOTION = 1.0
 """rad/s: a module that turns more slowly does not fall silent, since nothing is lost by that."""
