@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +22,8 @@ HEADING_FOR_S = 1.0
 PROVED_TILT = float(np.radians(0.5))
 """Of a truth's vertical against the mean specific force: a constant error of 0.05 m/s² and 1 m/s more at one
 end of 40 s than at the other make 0.4° of it."""
+PROVED_TIMES = 4.0
+"""Of the standard error: fast motion shows less."""
 MOSTLY = 0.98
 """Share of instants that must be there for a mean over them all."""
 TIME_BINS = 10
@@ -123,19 +126,24 @@ def levelled(case: Case, truth: FloatArray) -> FloatArray:
     """Return the truth (T, S, 4) in a world whose vertical is that of gravity, as far as that is proved.
 
     The mean acceleration of whatever does not fly away is next to nothing over a whole recording. So the mean
-    specific force of all segments, turned into the world by the truth alone, points up; where it does not by
-    more than ``PROVED_TILT``, the truth's world is askew, and no claim of a filter speaks of that.
+    specific force of all segments, turned into the world by the truth alone, points up. Where it does not, by
+    more than ``PROVED_TILT`` and by ``PROVED_TIMES`` the standard error of the mean of its tenths, the
+    truth's world is askew, and no claim of a filter speaks of that.
     """
-    if case.is_world_known:
+    is_scored = case.times_s >= case.scored_after_s
+    forces, known = case.forces[is_scored], truth[is_scored]
+    sound = np.isfinite(forces).all(axis=(1, 2)) & np.isfinite(known).all(axis=(1, 2))
+    if case.is_world_known or not sound.mean() > MOSTLY:
         return truth
-    forces = case.forces[case.times_s >= case.scored_after_s]
-    known = truth[case.times_s >= case.scored_after_s]
-    sound = np.isfinite(forces).all(axis=2) & np.isfinite(known).all(axis=2)
-    if not sound.all(axis=1).mean() > MOSTLY:
-        return truth
-    up = Rotation.from_quat(known[sound], scalar_first=True).apply(forces[sound]).mean(axis=0)
+    flat = Rotation.from_quat(known[sound].reshape(-1, 4), scalar_first=True).apply(
+        forces[sound].reshape(-1, 3)
+    )
+    felt = flat.reshape(-1, truth.shape[1], 3).mean(axis=1)
+    tenths = np.array([each.mean(axis=0) for each in np.array_split(felt, TIME_BINS)])
+    error = float(np.hypot(*tenths[:, :2].std(axis=0, ddof=1))) / math.sqrt(TIME_BINS)
+    up = felt.mean(axis=0)
     level, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])
-    if level.magnitude() < PROVED_TILT:
+    if level.magnitude() < PROVED_TILT or float(np.hypot(up[0], up[1])) < PROVED_TIMES * error:
         return truth
     found = np.full_like(truth, np.nan)
     is_there = np.isfinite(truth).all(axis=2)

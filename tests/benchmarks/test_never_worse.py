@@ -185,10 +185,10 @@ def test_a_truth_is_set_right_that_gravity_contradicts():
     """Where nothing else says what the truth's world is, and by more than could be an acceleration."""
     case = dataclasses.replace(simulated.ring_like_case(4), is_world_known=False)
     askew, hardly = (
-        turned(case.truth, Rotation.from_rotvec([np.radians(angle), 0.0, 0.0])) for angle in (1.5, 0.2)
+        turned(case.truth, Rotation.from_rotvec([np.radians(angle), 0.0, 0.0])) for angle in (5.0, 0.2)
     )
     found = orientation_error(levelled(case, askew), case.truth)
-    assert np.degrees(found.inclination).max() < 0.3
+    assert np.degrees(found.inclination).max() < 0.6
     assert levelled(case, hardly) is hardly
     assert levelled(dataclasses.replace(case, is_world_known=True), askew) is askew
     assert levelled(with_losses(case, "ring_like_4_lossy"), askew) is askew
