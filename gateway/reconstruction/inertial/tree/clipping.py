@@ -16,7 +16,10 @@ from gateway.geometry.vectors import is_finite
 from gateway.reconstruction.inertial.tree.rates import begin_gap, gyroscope_density, mean_rate_into
 from gateway.reconstruction.inertial.tree.state import Clip, Segment, SegmentWork, State, Validity, Work
 from gateway.reconstruction.inertial.tree.tuning import Tuning
+from gateway.reconstruction.inertial.tree.update import Three
 
+SAME_END = 0.95
+"""Of the largest axis of a clipped gyroscope, from where another is clipped too: skewed axes differ."""
 RATE_CLIPPED, FORCE_CLIPPED = Clipped.ANGULAR_RATE.value, Clipped.SPECIFIC_FORCE.value
 CLIP_LASTS, CLIP_LEFT = Clip.LASTS.value, Clip.LEFT.value
 FORCE, NOTHING, RATE, SATURATED_RATE = (
@@ -58,6 +61,20 @@ def judge_samples(state: State, work: Work, tuning: Tuning) -> None:
 def exceeds(v: FloatArray, limit: float) -> bool:
     """Return whether a component of v (3,) reaches the limit, either way."""
     return bool(abs(v[0]) >= limit or abs(v[1]) >= limit or abs(v[2]) >= limit)
+
+
+@compiled
+def is_at_end(rate: FloatArray) -> Three:
+    """Return 1 for each axis of a clipped gyroscope that is at the end of its range, else 0.
+
+    They are the largest one of its rate (3,), module axes, and those as large.
+    """
+    least = SAME_END * max(abs(rate[0]), abs(rate[1]), abs(rate[2]))
+    return (
+        1.0 if abs(rate[0]) >= least else 0.0,
+        1.0 if abs(rate[1]) >= least else 0.0,
+        1.0 if abs(rate[2]) >= least else 0.0,
+    )
 
 
 @compiled
@@ -113,19 +130,42 @@ def make_up_clip(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) 
         now.bridge[i] = gap.turn[i] + w[i] * dt
     if lasted_s > tuning.longest_clip_s or not is_finite(gap.slope):
         return float(missed)
+    slope = now.clip_slope
+    for i in range(3):
+        slope[i] = (now.angular_rate[i] - segment.rate[i]) / dt
     for k in range(3):
-        axis, along, turned = gap.clipped_axes[k], 0.0, 0.0
+        axis = gap.clipped_axes[k]
+        along = missed_along(axis, gap.rate, gap.slope, segment.rate, slope, segment.bias, gap.turn, lasted_s)
+        square += along**2
         for i in range(3):
-            slope = (now.angular_rate[i] - segment.rate[i]) / dt
-            # (70)  T / 2 (ω_0 + ω_1) + T² / 12 (ω̇_0 − ω̇_1) − b T
-            whole = lasted_s * (0.5 * (gap.rate[i] + segment.rate[i]) - segment.bias[i])
-            whole += lasted_s**2 / 12.0 * (gap.slope[i] - slope)
-            along += axis[i] * (whole - gap.turn[i])
-            turned += axis[i] * gap.turn[i]
-        if along * turned > 0.0:
-            square += along**2
-            for i in range(3):
-                now.bridge[i] += axis[i] * along
-                w[i] += axis[i] * along / dt
+            now.bridge[i] += axis[i] * along
+            w[i] += axis[i] * along / dt
     # a cubic that says that nothing was missed does not fit
     return float(tuning.missed_share**2 * square if square > 0.0 else missed)
+
+
+@compiled
+def missed_along(
+    axis: FloatArray,
+    rate: FloatArray,
+    slope: FloatArray,
+    last_rate: FloatArray,
+    last_slope: FloatArray,
+    bias: FloatArray,
+    shown: FloatArray,
+    lasted_s: float,
+) -> float:
+    """Return what a gyroscope at the end of its range has missed about an axis, rad, (70); 0: nothing.
+
+    The rate is taken for the cubic through rates (3,), rad/s, bias included, and slopes (3,), rad/s², before
+    and after. axis: (3,) unit, or 0. shown: (3,) rad, what the gyroscope did show, less its bias. lasted_s:
+    between the two rates.
+    """
+    along, turned = 0.0, 0.0
+    for i in range(3):
+        # (70)  T / 2 (ω_0 + ω_1) + T² / 12 (ω̇_0 − ω̇_1) − b T
+        whole = lasted_s * (0.5 * (rate[i] + last_rate[i]) - bias[i])
+        whole += lasted_s**2 / 12.0 * (slope[i] - last_slope[i])
+        along += axis[i] * (whole - shown[i])
+        turned += axis[i] * shown[i]
+    return along if along * turned > 0.0 else 0.0

@@ -19,7 +19,7 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records, array_of
 from gateway.geometry.vectors import dot, is_finite
 from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
-from gateway.reconstruction.inertial.tree.clipping import judge_samples
+from gateway.reconstruction.inertial.tree.clipping import is_at_end, judge_samples
 from gateway.reconstruction.inertial.tree.compass import follow_field, share_headings
 from gateway.reconstruction.inertial.tree.devices import device_rows, has_reported, take_reading
 from gateway.reconstruction.inertial.tree.headings import follow_sun, take_sun
@@ -67,8 +67,6 @@ INTERPOLATED, MISSING, PREDICTED, UNAIDED = (
 )
 FORCE, NOTHING, RATE = Validity.FORCE.value, Validity.NOTHING.value, Validity.RATE.value
 RATE_CLIPPED = Clipped.ANGULAR_RATE.value
-SAME_END = 0.95
-"""Of the largest axis of a clipped gyroscope, from where another is clipped too: skewed axes differ."""
 SHORTEST_STEP_S = 1e-5
 
 
@@ -340,11 +338,11 @@ def _note_clipped_axes(now: SegmentWork, rate: FloatArray, R_bs: FloatArray) -> 
 
     rate: (3,) rad/s, module axes.
     """
-    least = SAME_END * max(abs(rate[0]), abs(rate[1]), abs(rate[2]))
+    is_clipped = now.clipped & RATE_CLIPPED > 0
+    ends = is_at_end(rate)
     for j in range(3):
-        counts = 1.0 if now.clipped & RATE_CLIPPED > 0 and abs(rate[j]) >= least else 0.0
         for i in range(3):
-            now.clipped_axes[j, i] = counts * R_bs[i, j]
+            now.clipped_axes[j, i] = ends[j] * R_bs[i, j] if is_clipped else 0.0
 
 
 @compiled
