@@ -130,6 +130,10 @@ class FieldWatch(Record):
     norm_change: float  # of now
     dip_change: float
     error_square: float  # mean square of what both are wrong by
+    stays: Vector  # the last one that differed from the one before it, segment axes, µT; see ``stuck``
+    turned: Vector  # how the gyroscope has turned that since
+    stays_s: float  # since then
+    is_stuck: int  # 1: it has stayed although the module has turned
 
 
 class Compass(Record):

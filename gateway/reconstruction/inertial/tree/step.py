@@ -54,6 +54,7 @@ from gateway.reconstruction.inertial.tree.state import (
     Work,
     World,
 )
+from gateway.reconstruction.inertial.tree.stuck import leave_out_stuck_fields
 from gateway.reconstruction.inertial.tree.tuning import Tuning
 from gateway.reconstruction.inertial.tree.update import clear, update_outward, update_tree
 
@@ -259,8 +260,10 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
     judge_samples(state, work, tuning)
     note_rolling(state, work, dt)
 
-    # section 3: prediction; section 14: start; (57): headings that are lost
+    # section 3: prediction; section 8: fields that are stuck; section 14: start; (57): headings that are lost
     predict(body, state, tuning, work, dt)
+    if body.world.uses_field:
+        leave_out_stuck_fields(state, tuning, work, dt)
     start_segments(body, state, tuning, work)
     lose_headings(body.segments, state.segments, tuning)
 
