@@ -239,15 +239,18 @@ def turn_segments(body: Body, state: State, work: Work) -> None:
 
 @compiled
 def correct(state: State, work: Work) -> None:
-    """Set ``turn`` to the orientation error δ found, and correct the bias, b ← b + β; equation (1).
+    """Set ``turn`` by the orientation error δ found, and correct the bias, b ← b + β; equation (1).
 
-    ``turn_segments`` then applies the turn.
+    ``turn_segments`` then applies the turn. What a joint's row finds is exact for ``δ = 2 tan(θ/2)`` times the
+    axis; taken for the angle itself, an error of 90° would be turned by 115°.
     """
     segments, works = state.segments, work.segments
     for s in range(len(works)):
         now = works[s]
+        length = math.sqrt(now.x[0] ** 2 + now.x[1] ** 2 + now.x[2] ** 2)
+        share = 2.0 * math.atan(0.5 * length) / length if length > 0.0 else 1.0
         for i in range(3):
-            now.turn[i] = now.x[i]
+            now.turn[i] = share * now.x[i]
             segments[s].bias[i] += now.x[3 + i]
             segments[s].compass.rate -= segments[s].R[2, i] * now.x[3 + i]
 
