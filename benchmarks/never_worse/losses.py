@@ -19,7 +19,7 @@ BURST_S = 0.04
 """Mean length of a loss; their lengths are drawn from an exponential distribution."""
 SILENCES_S = (0.05, 0.8)
 """Shortest and longest silence of a module in motion; their lengths are drawn evenly."""
-HEARD_S = 10.0
+BETWEEN_S = 10.0
 """Mean time in motion from one silence to the next, drawn from an exponential distribution."""
 IN_MOTION = 1.0
 """rad/s: a module that turns more slowly does not fall silent, since nothing is lost by that."""
@@ -44,7 +44,7 @@ def with_losses(case: Case, name: str) -> Case:
 def with_silences(case: Case, name: str) -> Case:
     """Return the case with modules that fall silent for a while in the middle of a motion."""
     rng = _drawing(name)
-    begins = min(case.interval_s / HEARD_S, 1.0)
+    begins = min(case.interval_s / BETWEEN_S, 1.0)
 
     def lost() -> Iterator[NDArray[np.bool_]]:
         left_s = np.zeros(len(case.frames[0].status))

@@ -150,7 +150,7 @@ class ModuleFilter:
         self._advance(used)
 
     def _note_clip(self, rate: FloatArray) -> None:
-        """Add a rate (3,) at the end of the range. What is missed can be made up for after two sound samples."""
+        """Add a rate (3,) at the end of the range, whose beginning shows after two sound samples only."""
         if not self._was_blind:
             self._clip = None
             if self._last is not None and self._before_last is not None:

@@ -96,9 +96,20 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
     # (5)  … + ν_s ‖ω_k − ω_{k−1}‖² Δt
     density += gyroscope_inflation(segment, change, lasted_s)
     if now.bridged_s > 0.0 and gap.cause == CLIP_NONE:
+        _open_heading(segment, now, tuning)
         density = _bridge(segment, now, tuning, density * lasted_s, lasted_s) / dt
     gap.seconds, gap.cause = 0.0, CLIP_NONE
     return float(density)
+
+
+@compiled
+def _open_heading(segment: Segment, now: SegmentWork, tuning: Tuning) -> None:
+    """Let a segment that was silent turn to what compasses say at once, (34), if it may have turned unseen.
+
+    As a root it would turn no faster than its gyroscope drifts, which says nothing of a silence.
+    """
+    if coasted_square(segment, tuning, now.bridged_s) > tuning.compass_clean**2:
+        segment.compass.settled_s = 0.0
 
 
 @compiled
@@ -241,8 +252,8 @@ def turn_segments(body: Body, state: State, work: Work) -> None:
 def correct(state: State, work: Work) -> None:
     """Set ``turn`` by the orientation error δ found, and correct the bias, b ← b + β; equation (1).
 
-    ``turn_segments`` then applies the turn. What a joint's row finds is exact for ``δ = 2 tan(θ/2)`` times the
-    axis; taken for the angle itself, an error of 90° would be turned by 115°.
+    ``turn_segments`` then applies the turn. What a joint's row finds is exact for ``δ = 2 tan(θ/2)`` times
+    the axis; taken for the angle itself, an error of 90° would be turned by 115°.
     """
     segments, works = state.segments, work.segments
     for s in range(len(works)):
