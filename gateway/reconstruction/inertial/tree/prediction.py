@@ -16,6 +16,7 @@ import numpy as np
 from gateway.frames import FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Records
 from gateway.reconstruction.inertial.tree.clipping import make_up_clip, turn_as_clipped
 from gateway.reconstruction.inertial.tree.rates import begin_gap, gyroscope_density, mean_rate_into
 from gateway.reconstruction.inertial.tree.state import (
@@ -23,6 +24,7 @@ from gateway.reconstruction.inertial.tree.state import (
     Clip,
     Corrections,
     Heading,
+    Link,
     Segment,
     SegmentWork,
     SharedWork,
@@ -56,7 +58,10 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
             continue
         rotation_matrix.copy_into(now.before, segment.R)
         if now.validity >= RATE:
+            is_silent = segment.gap.seconds > 0.0 and segment.gap.cause == CLIP_NONE
             density = _turn_as_measured(segment, now, tuning, dt)
+            if is_silent:
+                _open_heading(links, segment, now, s, tuning)
         elif now.validity == SATURATED_RATE:
             density = turn_as_clipped(segment, now, tuning, dt)
         else:
@@ -96,19 +101,21 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
     # (5)  … + ν_s ‖ω_k − ω_{k−1}‖² Δt
     density += gyroscope_inflation(segment, change, lasted_s)
     if now.bridged_s > 0.0 and gap.cause == CLIP_NONE:
-        _open_heading(segment, now, tuning)
         density = _bridge(segment, now, tuning, density * lasted_s, lasted_s) / dt
     gap.seconds, gap.cause = 0.0, CLIP_NONE
     return float(density)
 
 
 @compiled
-def _open_heading(segment: Segment, now: SegmentWork, tuning: Tuning) -> None:
-    """Let a segment that was silent turn to what compasses say at once, (34), if it may have turned unseen.
+def _open_heading(links: Records[Link], segment: Segment, now: SegmentWork, s: int, tuning: Tuning) -> None:
+    """Let a lone module that was silent turn to its compass at once, (34), if it may have turned unseen.
 
-    As a root it would turn no faster than its gyroscope drifts, which says nothing of a silence.
+    Later it turns no faster than its gyroscope drifts, which says nothing of a silence. A chain knows better.
     """
-    if coasted_square(segment, tuning, now.bridged_s) > tuning.compass_clean**2:
+    is_alone = links[s].parent < 0
+    for c in range(len(links)):
+        is_alone = is_alone and links[c].parent != s
+    if is_alone and coasted_square(segment, tuning, now.bridged_s) > tuning.start_heading**2:
         segment.compass.settled_s = 0.0
 
 
