@@ -16,7 +16,6 @@ import numpy as np
 from gateway.frames import FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.geometry.records import Records
 from gateway.reconstruction.inertial.tree.clipping import make_up_clip, turn_as_clipped
 from gateway.reconstruction.inertial.tree.rates import begin_gap, gyroscope_density, mean_rate_into
 from gateway.reconstruction.inertial.tree.state import (
@@ -24,7 +23,6 @@ from gateway.reconstruction.inertial.tree.state import (
     Clip,
     Corrections,
     Heading,
-    Link,
     Segment,
     SegmentWork,
     SharedWork,
@@ -58,10 +56,7 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
             continue
         rotation_matrix.copy_into(now.before, segment.R)
         if now.validity >= RATE:
-            is_silent = segment.gap.seconds > 0.0 and segment.gap.cause == CLIP_NONE
             density = _turn_as_measured(segment, now, tuning, dt)
-            if is_silent:
-                _open_heading(links, segment, now, s, tuning)
         elif now.validity == SATURATED_RATE:
             density = turn_as_clipped(segment, now, tuning, dt)
         else:
@@ -104,19 +99,6 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
         density = _bridge(segment, now, tuning, density * lasted_s, lasted_s) / dt
     gap.seconds, gap.cause = 0.0, CLIP_NONE
     return float(density)
-
-
-@compiled
-def _open_heading(links: Records[Link], segment: Segment, now: SegmentWork, s: int, tuning: Tuning) -> None:
-    """Let a lone module that was silent turn to its compass at once, (34), if it may have turned unseen.
-
-    Later it turns no faster than its gyroscope drifts, which says nothing of a silence. A chain knows better.
-    """
-    is_alone = links[s].parent < 0
-    for c in range(len(links)):
-        is_alone = is_alone and links[c].parent != s
-    if is_alone and coasted_square(segment, tuning, now.bridged_s) > tuning.start_heading**2:
-        segment.compass.settled_s = 0.0
 
 
 @compiled
