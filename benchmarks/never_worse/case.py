@@ -47,6 +47,14 @@ class Case:
         return (times - times[0]) * 1e-9
 
     @property
+    def forces(self) -> FloatArray:
+        """(T, S, 3) measured specific forces, m/s², segment axes; every segment has a module."""
+        rows = self.suit.module_of_segment
+        measured = np.stack([frame.specific_force[rows] for frame in self.frames])
+        q_sb = Rotation.from_quat(self.suit.sensor_to_segment, scalar_first=True)
+        return np.stack([q_sb[s].apply(measured[:, s]) for s in range(len(rows))], axis=1)
+
+    @property
     def moves_from_s(self) -> float:
         """When the motion begins, s; before that nothing can show a heading without a field."""
         rates = np.stack([frame.angular_rate for frame in self.frames])

@@ -1,34 +1,77 @@
-"""Recordings of a radio that loses samples: in bursts, each module by itself."""
+"""Recordings of modules that are not heard all the time: each by itself, the same ones for the same name."""
 
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from benchmarks.never_worse.case import Case
-from gateway.frames import Status
+from gateway.frames import ImuFrame, Status
 
 LOST = 0.1
-"""Of all samples."""
+"""Of all samples, by a radio that loses them in bursts."""
 BURST_S = 0.04
 """Mean length of a loss; their lengths are drawn from an exponential distribution."""
+SILENCES_S = (0.05, 0.8)
+"""Shortest and longest silence of a module in motion; their lengths are drawn evenly."""
+BETWEEN_S = 10.0
+"""Mean time in motion from one silence to the next, drawn from an exponential distribution."""
+IN_MOTION = 1.0
+"""rad/s: a module that turns more slowly does not fall silent, since nothing is lost by that."""
 
 
 def with_losses(case: Case, name: str) -> Case:
-    """Return the case without the samples that a radio would have lost; the same ones for the same name."""
-    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    """Return the case without the samples that a radio would have lost."""
     ends = min(case.interval_s / BURST_S, 1.0)
     begins = ends * LOST / (1.0 - LOST)
-    is_lost, frames = np.zeros(len(case.frames[0].status), bool), []
-    for frame in case.frames:
-        drawn = rng.random(len(is_lost))
-        is_lost = np.where(is_lost, drawn > ends, drawn < begins)
-        values = {
-            sensor: np.where(is_lost[:, np.newaxis], np.nan, getattr(frame, sensor))
-            for sensor in ("specific_force", "angular_rate", "magnetic_field")
-        }
-        status = np.where(is_lost, Status.MISSING.value, frame.status).astype(np.uint8)
-        frames.append(replace(frame, status=status, **values))
-    return replace(case, name=name, kind="lossy", frames=frames)
+    rng = _drawing(name)
+
+    def lost() -> Iterator[NDArray[np.bool_]]:
+        is_lost = np.zeros(len(case.frames[0].status), bool)
+        for _ in case.frames:
+            drawn = rng.random(len(is_lost))
+            is_lost = np.where(is_lost, drawn > ends, drawn < begins)
+            yield is_lost
+
+    return _without(case, name, "lossy", lost())
+
+
+def with_silences(case: Case, name: str) -> Case:
+    """Return the case with modules that fall silent for a while in the middle of a motion."""
+    rng = _drawing(name)
+    begins = min(case.interval_s / BETWEEN_S, 1.0)
+
+    def lost() -> Iterator[NDArray[np.bool_]]:
+        left_s = np.zeros(len(case.frames[0].status))
+        for frame in case.frames:
+            n = len(left_s)
+            begin, length_s = rng.random(n) < begins, rng.uniform(*SILENCES_S, n)
+            turns = np.linalg.norm(frame.angular_rate, axis=1) > IN_MOTION
+            left_s = np.where(left_s > 0.0, left_s - case.interval_s, np.where(begin & turns, length_s, 0.0))
+            yield left_s > 0.0
+
+    return _without(case, name, "silent", lost())
+
+
+def _drawing(name: str) -> Generator:
+    return np.random.default_rng(zlib.crc32(name.encode()))
+
+
+def _without(case: Case, name: str, kind: str, lost: Iterator[NDArray[np.bool_]]) -> Case:
+    """Return the case without the samples of modules that are lost at each frame."""
+    frames = [_frame_without(frame, each) for frame, each in zip(case.frames, lost, strict=True)]
+    return replace(case, name=name, kind=kind, frames=frames)
+
+
+def _frame_without(frame: ImuFrame, is_lost: NDArray[np.bool_]) -> ImuFrame:
+    values = {
+        sensor: np.where(is_lost[:, np.newaxis], np.nan, getattr(frame, sensor))
+        for sensor in ("specific_force", "angular_rate", "magnetic_field")
+    }
+    status = np.where(is_lost, Status.MISSING.value, frame.status).astype(np.uint8)
+    return replace(frame, status=status, **values)

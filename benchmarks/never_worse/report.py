@@ -49,7 +49,9 @@ def report(found: list[Judged]) -> Report:
         "`sigma`. % in ellipsoid: errors within the ellipsoid of the live covariance that is to hold 95 % of "
         "them. NEES: normalised estimation error squared, 1 is honest, above claims too much; by segment and "
         "by tenth of the time: least and most. Where truth and rig have the same world, nothing is taken out "
-        "and all three components count; else the tilt's two, so that nobody's north hides a tilt. "
+        "and all three components count; else the tilt's two, so that nobody's north hides a tilt. Where the "
+        "mean specific force proves that a truth's vertical is off by more than 0.5°, as the T-stick's, that "
+        "is set right. "
         "Heading: seconds from when the motion begins until every heading is within 5° for a second.\n\n"
         + _by_kind(found)
     )

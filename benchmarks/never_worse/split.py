@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ import yaml
 
 from benchmarks.never_worse import store
 from benchmarks.never_worse.case import Case, in_turned_world
-from benchmarks.never_worse.losses import with_losses
+from benchmarks.never_worse.losses import with_losses, with_silences
 from benchmarks.never_worse.recordings import FAMILIES
 from benchmarks.never_worse.simulated import KINDS
 from gateway.frames import ANGULAR_RATE, INERTIAL_SAMPLE, SPECIFIC_FORCE
@@ -19,8 +20,12 @@ from gateway.stages.clipping import RangeWatch
 
 FILE = Path(__file__).with_name("split.yaml")
 PARTS = ("training", "validation")
-LOSSY, IS_TURNED = "_lossy", "_turned"
-"""Ends the name of a recording that has lost samples, or stands in a world that is turned."""
+CHANGES: dict[str, Callable[[Case, str], Case]] = {
+    "_lossy": with_losses,
+    "_silent": with_silences,
+    "_turned": in_turned_world,
+}
+"""End of a recording's name to what has happened to it; called with the whole name."""
 
 
 class Named(NamedTuple):
@@ -68,12 +73,9 @@ def _watched(case: Case) -> Case:
 
 
 def _made(name: str) -> Case:
-    whole, is_lossy, _ = name.partition(LOSSY)
-    if is_lossy:
-        return with_losses(_made(whole), name)
-    whole, is_turned, _ = name.partition(IS_TURNED)
-    if is_turned:
-        return in_turned_world(_made(whole), name)
+    for end, change in CHANGES.items():
+        if name.endswith(end):
+            return change(_made(name.removesuffix(end)), name)
     kind, _, seed = name.rpartition("_")
     if kind in KINDS:
         return KINDS[kind](int(seed))

@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[2]
 CODE = (
     "benchmarks/foot_recording.py",
     "benchmarks/never_worse/case.py",
+    "benchmarks/never_worse/losses.py",
     "benchmarks/never_worse/recordings.py",
     "benchmarks/never_worse/simulated.py",
     "benchmarks/never_worse/split.py",

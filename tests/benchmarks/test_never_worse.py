@@ -11,14 +11,15 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.never_worse import peers, simulated, split, store
 from benchmarks.never_worse.case import TURNED, Case, Variant, in_turned_world
-from benchmarks.never_worse.judging import claims, errors
-from benchmarks.never_worse.losses import with_losses
+from benchmarks.never_worse.judging import claims, errors, levelled
+from benchmarks.never_worse.losses import SILENCES_S, with_losses, with_silences
 from benchmarks.never_worse.objective import score
 from benchmarks.never_worse.recordings import FAMILIES, backward, part
 from benchmarks.never_worse.report import report
 from benchmarks.never_worse.solving import Solution, live
 from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
 from gateway.frames import Status
+from gateway.geometry.comparison import orientation_error
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[3] / "shared" / "data"))
 BOTH, NEITHER = Variant(has_device=True, has_field=True), Variant(has_device=False, has_field=False)
@@ -53,7 +54,9 @@ def test_nothing_is_training_and_validation():
 
 def test_every_name_of_the_split_can_be_made():
     for name in (name for each in split.PARTS for name in split.table()[each]["recordings"]):
-        whole = name.removesuffix(split.LOSSY).removesuffix(split.IS_TURNED)
+        whole = name
+        for end in split.CHANGES:
+            whole = whole.removesuffix(end)
         kind, _, seed = whole.rpartition("_")
         assert whole.partition("_")[0] in FAMILIES or (kind in simulated.KINDS and seed.isdigit())
     for kind in (kind for each in split.PARTS for kind in split.table()[each]["simulated"]):
@@ -86,6 +89,23 @@ def test_a_tenth_of_the_samples_is_lost_the_same_ones_each_time(chain):
         assert np.array_equal(frame.angular_rate[~is_lost], whole.angular_rate[~is_lost])
     again = with_losses(chain, "random_chain_1_lossy")
     assert all(np.array_equal(a.status, b.status) for a, b in zip(lossy.frames, again.frames, strict=True))
+
+
+def test_modules_fall_silent_for_a_while_in_motion_the_same_ones_each_time():
+    arm = simulated.fast_arm_case(3)
+    silent = with_silences(arm, "fast_arm_3_silent")
+    lost = np.array([frame.status == Status.MISSING for frame in silent.frames])
+    assert 0.02 < lost.mean() < 0.3
+    assert silent.kind == "silent"
+    for module in range(lost.shape[1]):
+        begins, ends = (np.flatnonzero(np.diff(lost[:, module].astype(int)) == step) for step in (1, -1))
+        lengths_s = (ends - begins[: len(ends)]) * arm.interval_s
+        assert (lengths_s >= SILENCES_S[0] - 1e-9).all()
+        assert (lengths_s <= SILENCES_S[1] + arm.interval_s).all()
+        rates = np.array([np.linalg.norm(arm.frames[k + 1].angular_rate[module]) for k in begins])
+        assert (rates > 1.0).all()
+    again = with_silences(arm, "fast_arm_3_silent")
+    assert all(np.array_equal(a.status, b.status) for a, b in zip(silent.frames, again.frames, strict=True))
 
 
 def test_every_set_of_recordings_is_assigned():
@@ -159,6 +179,19 @@ def test_honest_claims_are_told_from_others(claimed, nees):
         assert 93.0 < found.covered_percent < 98.0
     else:
         assert found.in_ellipsoid_percent < 70.0
+
+
+def test_a_truth_is_set_right_that_gravity_contradicts():
+    """Where nothing else says what the truth's world is, and by more than could be an acceleration."""
+    case = dataclasses.replace(simulated.ring_like_case(4), is_world_known=False)
+    askew, hardly = (
+        turned(case.truth, Rotation.from_rotvec([np.radians(angle), 0.0, 0.0])) for angle in (5.0, 0.2)
+    )
+    found = orientation_error(levelled(case, askew), case.truth)
+    assert np.degrees(found.inclination).max() < 0.6
+    assert levelled(case, hardly) is hardly
+    assert levelled(dataclasses.replace(case, is_world_known=True), askew) is askew
+    assert levelled(with_losses(case, "ring_like_4_lossy"), askew) is askew
 
 
 def test_kinds_weigh_alike_and_only_what_is_worse_is_punished():

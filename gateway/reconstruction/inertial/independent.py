@@ -47,8 +47,9 @@ class IndependentReconstructor:
     A module without values for an instant keeps its last orientation: HELD, and PREDICTED after a longer
     gap (``module_filter.LONGEST_GAP_S``). One whose last values are repeated turns on by them for a tenth of
     a second. Once it is back, that is taken back, and the gap bridged or settled (``ModuleFilter``).
-    Likewise after its gyroscopes have been saturated for that long; for less, the end of their range is the
-    best guess. While its accelerometer is saturated, a segment turns by its gyroscopes alone (UNAIDED).
+    Likewise after its gyroscopes have been saturated for that long; for less, what they missed is made up
+    for (``module_filter.Clip``). While its accelerometer is saturated, a segment turns by its gyroscopes
+    alone (UNAIDED).
     A segment without module follows its parent rigidly, axes parallel as in the calibration pose
     (PREDICTED). MISSING: nothing yet, or a module without accelerometer or gyroscopes.
 

@@ -20,6 +20,7 @@ from gateway.frames import FloatArray, IntArray
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, is_finite, norm, vector
+from gateway.reconstruction.inertial.tree.clipping import is_at_end, missed_along
 
 LONGEST_BRIDGE_S = 0.1
 """As long as the assembler bridges by default. What the module did is known then; nothing has to settle."""
@@ -39,7 +40,8 @@ _AVERAGES = (
 )
 
 
-_NONE = np.full(3, np.nan)
+_NONE, NO_BIAS = np.full(3, np.nan), np.zeros(3)
+"""A turn beyond what was shown needs no bias: both have it."""
 
 
 class Sample(NamedTuple):
@@ -55,6 +57,29 @@ class Sample(NamedTuple):
         f, w, x = (None if a is None or b is None else (1.0 - share) * a + share * b for a, b in pairs)
         assert w is not None  # of both
         return Sample(f, w, x)
+
+
+class Clip:
+    """A time at the end of the gyroscope's range, sensor axes: what ``joint`` knows of it (``tree.clipping``)
+    too."""
+
+    def __init__(self, rate: FloatArray, slope: FloatArray) -> None:
+        """Begin with the rate (3,), rad/s, of the last sample within the range, and its slope, rad/s²."""
+        self._rate, self._slope, self._last = rate, slope, rate
+        self._shown, self._axes, self._lasted_s = np.zeros(3), np.zeros((3, 3)), 0.0
+
+    def add(self, rate: FloatArray, dt: float, *, is_clipped: bool = False) -> None:
+        """Add a rate (3,) at the end of the range, or the first one after it; dt: s."""
+        self._shown += 0.5 * dt * (self._last + rate)
+        self._last = rate
+        self._lasted_s += dt
+        if is_clipped:
+            np.fill_diagonal(self._axes, np.maximum(self._axes.diagonal(), is_at_end(rate)))
+
+    def missed(self, slope: FloatArray) -> FloatArray:
+        """Return what the gyroscope has missed, (3,) rad; slope: (3,) after the first rate, rad/s²."""
+        known = self._rate, self._slope, self._last, slope, NO_BIAS, self._shown, self._lasted_s
+        return np.array([missed_along(axis, *known) for axis in self._axes])
 
 
 class ModuleFilter:
@@ -91,6 +116,10 @@ class ModuleFilter:
         self._since = nothing_since()
         self._q_wi, self._sigma = np.array([1.0, 0.0, 0.0, 0.0]), 0.0
         self._kept: _Kept | None = None
+        self._before_last: Sample | None = None
+        """The sound one right before that; None: there is none."""
+        self._clip: Clip | None = None
+        """The gyroscope has been at the end of its range, and what it missed is not yet made up for."""
 
     @property
     def is_known(self) -> bool:
@@ -113,10 +142,38 @@ class ModuleFilter:
         if self._last is not None and time_ns - self._sound_ns > 1.5e9 * self._interval_s:
             self._catch_up(self._last, sample, (time_ns - self._sound_ns) * 1e-9)
         self._kept = None
+        is_next = time_ns - self._sound_ns <= 1.5e9 * self._interval_s
+        used = sample if self._clip is None else self._made_up(self._clip, sample, is_next, time_ns)
         self._was_blind = False
         self._received_ns = self._sound_ns = time_ns
-        self._last = sample
-        self._advance(sample)
+        self._before_last, self._last = self._last if is_next else None, sample
+        self._advance(used)
+
+    def _note_clip(self, rate: FloatArray) -> None:
+        """Add a rate (3,) at the end of the range, whose beginning shows after two sound samples only."""
+        if not self._was_blind:
+            self._clip = None
+            if self._last is not None and self._before_last is not None:
+                slope = (self._last.angular_rate - self._before_last.angular_rate) / self._interval_s
+                self._clip = Clip(self._last.angular_rate, slope)
+        if self._clip is not None:
+            self._clip.add(rate, self._interval_s, is_clipped=True)
+
+    def _made_up(self, clip: Clip, sample: Sample, is_next: bool, time_ns: int) -> Sample:
+        """Return a sound sample after a clip, the second one with what the gyroscope has missed in its rate.
+
+        is_next: it comes right after a sound one.
+        """
+        if self._was_blind:
+            clip.add(sample.angular_rate, self._interval_s)
+            if time_ns - self._sound_ns > _LONGEST_GAP_NS:
+                self._clip = None
+            return sample
+        self._clip = None
+        if not is_next or self._last is None:
+            return sample
+        slope = (sample.angular_rate - self._last.angular_rate) / self._interval_s
+        return sample._replace(angular_rate=sample.angular_rate + clip.missed(slope) / self._interval_s)
 
     def take_doubtful(self, sample: Sample, time_ns: int, is_blind: bool) -> None:
         """Take the last sample repeated, or one of a saturated gyroscope (``is_blind``).
@@ -127,6 +184,8 @@ class ModuleFilter:
         if self._kept is None:
             since = Since(*(sums.copy() for sums in self._since))
             self._kept = _Kept(self._vqf.state, self._before, self._pause_s, since, self._q_wi, self._sigma)
+        if is_blind:
+            self._note_clip(sample.angular_rate)
         self._was_blind |= is_blind
         if not is_blind:
             self._received_ns = time_ns
@@ -167,7 +226,7 @@ class ModuleFilter:
         What doubtful samples in it have done is taken back.
         """
         if self._was_blind and since_s <= LONGEST_GAP_S:
-            return  # the end of the range is the best guess
+            return  # the end of the range is the best guess, until the next sample shows more
         if self._kept is not None:
             self._vqf.setMotionBiasEstEnabled(self._kept.before is None and self._kept.pause_s <= 0.0)
             self._vqf.state, self._before, self._pause_s, self._since, self._q_wi, self._sigma = self._kept

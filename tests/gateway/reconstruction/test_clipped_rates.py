@@ -1,6 +1,7 @@
 """What a gyroscope misses at the end of its range is made up for, and claimed while it is not."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from gateway.body.rig import load_rig
 from gateway.frames import Clipped, ImuFrame
+from gateway.reconstruction.inertial.independent import IndependentReconstructor
 from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings, JointReconstructor
 
 RATE_HZ, PEAK = 100, 12.0
@@ -34,11 +36,14 @@ def swinging(axis, hertz, limit):
     return frames, heading
 
 
-def solved(frames):
+WITHOUT_FIELD = partial(JointReconstructor, settings=ChainSettings(uses_field=False))
+
+
+def solved(frames, method=WITHOUT_FIELD):
     """Headings turned by since the first frame, and standard deviations, rad (T,) each."""
     suit = load_rig("single_placed")
     suit = replace(suit, local_devices=(), sensor_to_segment=np.array([[1.0, 0.0, 0.0, 0.0]]))
-    reconstructor = JointReconstructor(suit, 1.0 / RATE_HZ, ChainSettings(uses_field=False))
+    reconstructor = method(suit, 1.0 / RATE_HZ)
     poses = [reconstructor.update(frame) for frame in frames]
     turns = Rotation.from_quat(np.stack([pose.q_wb[0] for pose in poses]), scalar_first=True)
     steps = np.array([0.0, *(turns[1:] * turns[:-1].inv()).as_rotvec()[:, 2]])
@@ -58,6 +63,16 @@ def test_a_peak_that_is_cut_is_made_up_for(axis, side, cut):
     found, _ = solved(frames)
     assert missed > 0.1
     assert side * found[-1] == pytest.approx(heading[-1] - (1.0 - share) * missed, abs=0.08 * missed)
+
+
+@pytest.mark.parametrize("cut", [0.85, 0.92])
+def test_a_module_for_itself_makes_up_for_as_much(cut):
+    frames, _ = swinging(np.array([0.0, 0.0, 1.0]), 1.5, cut * PEAK)
+    headings = [solved(frames, method)[0][-1] for method in (IndependentReconstructor, JointReconstructor)]
+    bare = [replace(frame, clipped=None) for frame in frames]
+    without = solved(bare, IndependentReconstructor)[0][-1]
+    assert headings[1] - without > 0.1
+    assert headings[0] - without == pytest.approx(headings[1] - without, rel=0.1)
 
 
 def test_what_is_missed_is_claimed_at_once_and_given_back_when_it_is_made_up_for():

@@ -254,6 +254,19 @@ def test_small_and_large_turns_have_all_digits(angle):
     np.testing.assert_allclose(from_rotation_vector(r), wanted, rtol=0.0, atol=4e-16)
 
 
+@pytest.mark.parametrize("angle", [0.01, 0.5, 1.5, 2.5])
+def test_a_segment_is_turned_by_the_very_angle_that_a_joint_has_shown(angle):
+    """Of u = E⁻¹ y a row about the mean of both shows 2 tan(θ/2) times the axis, however large θ is."""
+    turn = angle * np.array([0.48, -0.6, 0.64])
+    sides = [Rotation.from_rotvec(-turn).apply(y) for y in np.eye(3)]
+    rows = np.concatenate([0.5 * np.cross(u + y, np.eye(3)).T for u, y in zip(sides, np.eye(3), strict=True)])
+    residual = np.concatenate([u - y for u, y in zip(sides, np.eye(3), strict=True)])
+    state, work = initial_state(1, 0), work_space(1)
+    work.segments[0].x[:3] = np.linalg.lstsq(rows, residual, rcond=None)[0]
+    prediction.correct(state, work)
+    np.testing.assert_allclose(work.segments[0].turn, turn, atol=1e-12)
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_weights_differentiate_polynomials_exactly_at_uneven_times(order):
     t = np.sort(np.random.default_rng(4).uniform(0.0, 0.2, 8))

@@ -13,10 +13,11 @@ import math
 
 import numpy as np
 
-from gateway.frames import Clipped, FloatArray, Quantity
+from gateway.frames import FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import is_finite, norm
+from gateway.reconstruction.inertial.tree.clipping import make_up_clip, turn_as_clipped
+from gateway.reconstruction.inertial.tree.rates import begin_gap, gyroscope_density, mean_rate_into
 from gateway.reconstruction.inertial.tree.start import turn_heading_sums
 from gateway.reconstruction.inertial.tree.state import (
     Body,
@@ -34,10 +35,9 @@ from gateway.reconstruction.inertial.tree.state import (
 )
 from gateway.reconstruction.inertial.tree.tuning import Tuning
 
-RATE_CLIPPED, FORCE_CLIPPED = Clipped.ANGULAR_RATE.value, Clipped.SPECIFIC_FORCE.value
 OBSERVED = Heading.OBSERVED.value
 AIR_VELOCITY = Quantity.AIR_VELOCITY.value
-CLIP_NONE, CLIP_LASTS, CLIP_LEFT = Clip.NONE.value, Clip.LASTS.value, Clip.LEFT.value
+CLIP_NONE, CLIP_LEFT = Clip.NONE.value, Clip.LEFT.value
 STARTS_AGAIN, NOT_STARTED = Started.AGAIN.value, Started.NO.value
 FORCE, NOTHING, RATE, SATURATED_RATE = (
     Validity.FORCE.value,
@@ -45,39 +45,6 @@ FORCE, NOTHING, RATE, SATURATED_RATE = (
     Validity.RATE.value,
     Validity.SATURATED_RATE.value,
 )
-
-
-@compiled
-def judge_samples(state: State, work: Work, tuning: Tuning) -> None:
-    """Set ``validity`` of each segment to what of its module's sample counts.
-
-    A sensor is at the end of its range where its module says so, and at the largest range of any sensor.
-    """
-    works = work.segments
-    for s in range(len(works)):
-        now, gap = works[s], state.segments[s].gap
-        now.validity, now.is_felt = NOTHING, 0
-        if now.status <= 1 and is_finite(now.angular_rate):
-            now.validity = RATE
-            if is_finite(now.specific_force) and now.clipped & FORCE_CLIPPED == 0:
-                now.is_felt = 0 if exceeds(now.specific_force, tuning.largest_force) else 1
-            if exceeds(now.angular_rate, tuning.largest_rate) or now.clipped & RATE_CLIPPED > 0:
-                now.validity = SATURATED_RATE
-            elif now.is_felt:
-                now.validity = FORCE
-        if now.validity == SATURATED_RATE:
-            gap.cause = CLIP_LASTS
-        elif now.validity >= RATE and gap.cause == CLIP_LASTS:
-            # what the gyroscope has missed is known with the slope of its rate, from the next sample on
-            gap.cause, now.validity = CLIP_LEFT, SATURATED_RATE
-        elif now.validity == NOTHING and gap.cause == CLIP_LEFT:
-            gap.cause = CLIP_LASTS
-
-
-@compiled
-def exceeds(v: FloatArray, limit: float) -> bool:
-    """Return whether a component of v (3,) reaches the limit, either way."""
-    return bool(abs(v[0]) >= limit or abs(v[1]) >= limit or abs(v[2]) >= limit)
 
 
 @compiled
@@ -92,7 +59,7 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
         if now.validity >= RATE:
             density = _turn_as_measured(segment, now, tuning, dt)
         elif now.validity == SATURATED_RATE:
-            density = _turn_as_clipped(segment, now, tuning, dt)
+            density = turn_as_clipped(segment, now, tuning, dt)
         else:
             density = _coast(segment, now, tuning, dt)
         now.density = density
@@ -117,10 +84,10 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
 def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
     """Set ``now.mean_rate`` by the gyroscope, (2); return its noise, (rad/s)²/Hz, (5)."""
     lasted_s, gap = _end_gap(segment, now, tuning, dt), segment.gap
-    _mean_rate(segment, now, lasted_s)
+    mean_rate_into(segment, now, lasted_s)
     density = gyroscope_density(now, tuning)
     if gap.cause == CLIP_LEFT:
-        density += _make_up(segment, now, tuning, dt) / dt
+        density += make_up_clip(segment, now, tuning, dt) / dt
     segment.silent_s = 0.0
     change = 0.0
     for i in range(3):
@@ -133,15 +100,6 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
         density = _bridge(segment, now, tuning, density * lasted_s, lasted_s) / dt
     gap.seconds, gap.cause = 0.0, CLIP_NONE
     return float(density)
-
-
-@compiled
-def gyroscope_density(now: SegmentWork, tuning: Tuning) -> float:
-    """Return the noise of a gyroscope within its range, (rad/s)²/Hz, the first terms of (5)."""
-    # (5)  σ_ω² + (κ ‖w‖)² τ_κ
-    return float(
-        tuning.gyroscope**2 + (tuning.gyroscope_scale * norm(now.mean_rate)) ** 2 * tuning.scale_memory_s
-    )
 
 
 @compiled
@@ -160,88 +118,6 @@ def _end_gap(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> f
             segment.rate_slope[i] = np.nan
         segment.rate[i] = gap.rate[i]
     return float(gap.seconds + dt)
-
-
-@compiled
-def _begin_gap(segment: Segment) -> None:
-    """Keep what bridges the gap that begins: the rate of the last sample, and its slope."""
-    gap = segment.gap
-    gap.missed = 0.0
-    for i in range(3):
-        gap.rate[i], gap.slope[i], gap.turn[i] = segment.rate[i], segment.rate_slope[i], 0.0
-        for j in range(3):
-            gap.clipped_axes[i, j] = 0.0
-
-
-@compiled
-def _turn_as_clipped(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
-    """Set ``now.mean_rate`` by a gyroscope at the end of its range, (2); return its noise, (rad/s)²/Hz.
-
-    What it misses meanwhile is kept apart, as variance in ``gap.missed``, until ``_make_up`` can say more.
-    """
-    gap = segment.gap
-    if gap.seconds == 0.0:
-        _begin_gap(segment)
-    _mean_rate(segment, now, dt)
-    for i in range(3):
-        gap.turn[i] += now.mean_rate[i] * dt
-        segment.rate[i], segment.rate_slope[i] = now.angular_rate[i], np.nan
-        if now.clipped_axes[i, 0] != 0.0 or now.clipped_axes[i, 1] != 0.0 or now.clipped_axes[i, 2] != 0.0:
-            for j in range(3):
-                gap.clipped_axes[i, j] = now.clipped_axes[i, j]
-    gap.missed -= missed_square(segment, tuning)
-    gap.seconds += dt
-    segment.silent_s += dt
-    gap.missed += missed_square(segment, tuning)
-    density = gyroscope_density(now, tuning)
-    if gap.seconds > tuning.longest_clip_s:
-        density += gap.missed / dt
-        gap.missed = 0.0
-    return density
-
-
-@compiled
-def missed_square(segment: Segment, tuning: Tuning) -> float:
-    """Return V_c of (69), rad², of what a gyroscope at the end of its range may have missed by now."""
-    gap, slope_square = segment.gap, 0.0
-    for i in range(3):
-        slope_square += gap.slope[i] ** 2
-    noise = tuning.saturated_noise**2 * gap.seconds
-    if not math.isfinite(slope_square):
-        return float(noise)
-    return float(min(slope_square * gap.seconds**4 / 9.0, noise))
-
-
-@compiled
-def _make_up(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
-    """Add to ``now.mean_rate`` what the gyroscope has missed at the end of its range, (70).
-
-    Return the variance that the step adds, rad². The rate is taken to have gone as the cubic through values
-    and slopes at both ends. Only axes that were at the end of their range are made up for, outward.
-    """
-    gap, w = segment.gap, now.mean_rate
-    missed, lasted_s, square = gap.missed, gap.seconds, 0.0
-    gap.missed = 0.0
-    for i in range(3):
-        now.bridge[i] = gap.turn[i] + w[i] * dt
-    if lasted_s > tuning.longest_clip_s or not is_finite(gap.slope):
-        return float(missed)
-    for k in range(3):
-        axis, along, turned = gap.clipped_axes[k], 0.0, 0.0
-        for i in range(3):
-            slope = (now.angular_rate[i] - segment.rate[i]) / dt
-            # (70)  T / 2 (ω_0 + ω_1) + T² / 12 (ω̇_0 − ω̇_1) − b T
-            whole = lasted_s * (0.5 * (gap.rate[i] + segment.rate[i]) - segment.bias[i])
-            whole += lasted_s**2 / 12.0 * (gap.slope[i] - slope)
-            along += axis[i] * (whole - gap.turn[i])
-            turned += axis[i] * gap.turn[i]
-        if along * turned > 0.0:
-            square += along**2
-            for i in range(3):
-                now.bridge[i] += axis[i] * along
-                w[i] += axis[i] * along / dt
-    # a cubic that says that nothing was missed does not fit
-    return float(tuning.missed_share**2 * square if square > 0.0 else missed)
 
 
 @compiled
@@ -287,7 +163,7 @@ def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> flo
     w, gap = now.mean_rate, segment.gap
     if gap.seconds == 0.0:
         # the rate below fades: what bridges the gap needs that of the last sample
-        _begin_gap(segment)
+        begin_gap(segment)
     for i in range(3):
         # (6)  w ← w exp(−Δt / T_c)
         w[i] = (segment.rate[i] - segment.bias[i]) * math.exp(-dt / tuning.longest_coast_s)
@@ -298,29 +174,6 @@ def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> flo
     # (6)  q Δt = V(t) − V(t − Δt)
     before = coasted_square(segment, tuning, gap.seconds - dt)
     return float((coasted_square(segment, tuning, gap.seconds) - before) / dt)
-
-
-@compiled
-def _mean_rate(segment: Segment, now: SegmentWork, dt: float) -> None:
-    """Set ``now.mean_rate``, rad/s, that turns the segment over dt (s), equation (2).
-
-    The angle's error is O(dt³). It is the trapezoid, less its error by Euler and Maclaurin's formula from the
-    last three rates, plus the coning of an axis that moves (Bortz 1971). At 100 Hz the trapezoid alone is off
-    by up to a degree in fast motion.
-    """
-    w, rate, bias, last, slope = (
-        now.mean_rate, now.angular_rate, segment.bias, segment.rate, segment.rate_slope
-    )  # fmt: skip
-    a = last[0] - bias[0], last[1] - bias[1], last[2] - bias[2]
-    b = rate[0] - bias[0], rate[1] - bias[1], rate[2] - bias[2]
-    # (2)  (a + c) / 2 + Δt / 12 a × c, c being b here, …
-    w[0] = 0.5 * (a[0] + b[0]) + (a[1] * b[2] - a[2] * b[1]) * dt / 12.0
-    w[1] = 0.5 * (a[1] + b[1]) + (a[2] * b[0] - a[0] * b[2]) * dt / 12.0
-    w[2] = 0.5 * (a[2] + b[2]) + (a[0] * b[1] - a[1] * b[0]) * dt / 12.0
-    for i in range(3):
-        if math.isfinite(slope[i]):
-            # (2)  … less the trapezoid's error, by how the rate's slope has changed
-            w[i] -= (rate[i] - last[i] - slope[i] * dt) / 12.0
 
 
 @compiled
@@ -391,15 +244,18 @@ def turn_segments(body: Body, state: State, work: Work) -> None:
 
 @compiled
 def correct(state: State, work: Work) -> None:
-    """Set ``turn`` to the orientation error δ found, and correct the bias, b ← b + β; equation (1).
+    """Set ``turn`` by the orientation error δ found, and correct the bias, b ← b + β; equation (1).
 
-    ``turn_segments`` then applies the turn.
+    ``turn_segments`` then applies the turn. What a joint's row finds is exact for ``δ = 2 tan(θ/2)`` times
+    the axis; taken for the angle itself, an error of 90° would be turned by 115°.
     """
     segments, works = state.segments, work.segments
     for s in range(len(works)):
         now = works[s]
+        length = math.sqrt(now.x[0] ** 2 + now.x[1] ** 2 + now.x[2] ** 2)
+        share = 2.0 * math.atan(0.5 * length) / length if length > 0.0 else 1.0
         for i in range(3):
-            now.turn[i] = now.x[i]
+            now.turn[i] = share * now.x[i]
             segments[s].bias[i] += now.x[3 + i]
             segments[s].compass.rate -= segments[s].R[2, i] * now.x[3 + i]
 

@@ -130,6 +130,10 @@ class FieldWatch(Record):
     norm_change: float  # of now
     dip_change: float
     error_square: float  # mean square of what both are wrong by
+    stays: Vector  # the last one that differed from the one before it, segment axes, µT; see ``stuck``
+    turned: Vector  # how the gyroscope has turned that since
+    stays_s: float  # since then
+    is_stuck: int  # 1: it has stayed although the module has turned
 
 
 class Compass(Record):
@@ -320,6 +324,7 @@ class SegmentWork(Record):
     mean_rate: Vector  # that turns it from the frame before to this one, rad/s
     before: Matrix  # orientation of the frame before
     bridged_s: float  # length of the gap that this sample ends and that can be bridged; 0: none
+    clip_slope: Vector  # of the rate after the end of the gyroscope's range, rad/s²
     bridge: Vector  # how it has turned since the last sample before that, segment axes, rad
     K: Matrix  # filtered lever-arm matrix, 1/s², world
     motion: float  # ‖[ω̇, ω]‖, 1/s²

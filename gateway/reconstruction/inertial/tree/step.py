@@ -19,13 +19,13 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records, array_of
 from gateway.geometry.vectors import dot, is_finite
 from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
+from gateway.reconstruction.inertial.tree.clipping import is_at_end, judge_samples
 from gateway.reconstruction.inertial.tree.compass import follow_field, share_headings
 from gateway.reconstruction.inertial.tree.devices import device_rows, has_reported, take_reading
 from gateway.reconstruction.inertial.tree.headings import follow_sun, take_sun
 from gateway.reconstruction.inertial.tree.prediction import (
     average,
     correct,
-    judge_samples,
     note_corrections,
     predict,
     turn_segments,
@@ -54,6 +54,7 @@ from gateway.reconstruction.inertial.tree.state import (
     Work,
     World,
 )
+from gateway.reconstruction.inertial.tree.stuck import leave_out_stuck_fields
 from gateway.reconstruction.inertial.tree.tuning import Tuning
 from gateway.reconstruction.inertial.tree.update import clear, update_outward, update_tree
 
@@ -67,8 +68,6 @@ INTERPOLATED, MISSING, PREDICTED, UNAIDED = (
 )
 FORCE, NOTHING, RATE = Validity.FORCE.value, Validity.NOTHING.value, Validity.RATE.value
 RATE_CLIPPED = Clipped.ANGULAR_RATE.value
-SAME_END = 0.95
-"""Of the largest axis of a clipped gyroscope, from where another is clipped too: skewed axes differ."""
 SHORTEST_STEP_S = 1e-5
 
 
@@ -261,8 +260,10 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
     judge_samples(state, work, tuning)
     note_rolling(state, work, dt)
 
-    # section 3: prediction; section 14: start; (57): headings that are lost
+    # section 3: prediction; section 8: fields that are stuck; section 14: start; (57): headings that are lost
     predict(body, state, tuning, work, dt)
+    if body.world.uses_field:
+        leave_out_stuck_fields(state, tuning, work, dt)
     start_segments(body, state, tuning, work)
     lose_headings(body.segments, state.segments, tuning)
 
@@ -340,11 +341,11 @@ def _note_clipped_axes(now: SegmentWork, rate: FloatArray, R_bs: FloatArray) -> 
 
     rate: (3,) rad/s, module axes.
     """
-    least = SAME_END * max(abs(rate[0]), abs(rate[1]), abs(rate[2]))
+    is_clipped = now.clipped & RATE_CLIPPED > 0
+    ends = is_at_end(rate)
     for j in range(3):
-        counts = 1.0 if now.clipped & RATE_CLIPPED > 0 and abs(rate[j]) >= least else 0.0
         for i in range(3):
-            now.clipped_axes[j, i] = counts * R_bs[i, j]
+            now.clipped_axes[j, i] = ends[j] * R_bs[i, j] if is_clipped else 0.0
 
 
 @compiled

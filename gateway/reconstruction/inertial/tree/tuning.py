@@ -209,6 +209,19 @@ class Tuning(Record):
     compass_scatter: float = constant(0.1, "rad", "of a compass, before any has been seen", "buildings")
     compass_least: float = constant(0.01, "rad", "of a compass at the least", "tilts in motion")
 
+    stuck_change: float = constant(
+        0.05, "", "a field that changes by less, relative, stays where it is", "3°; noise of magnetometers"
+    )
+    stuck_turn: float = constant(
+        math.pi / 6.0,
+        "rad",
+        "a field that stays while the module turns by that much is stuck",
+        "ten times that",
+    )
+    stuck_s: float = constant(
+        1.0, "s", "for which it must have stayed", "magnetometers read seldom repeat their values"
+    )
+
     # the sun
     sun_memory_s: float = constant(
         1.0, "s", "for how long cells stay off to the same side while the module turns", "simulated skies"
