@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import csv
 import json
+import secrets
 import signal
 import sys
 import tempfile
@@ -23,7 +24,7 @@ from gateway.cli.options import AsJson, BrokerChoice, with_broker
 from gateway.cli.terminal import wide_console
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
-from gateway.support.credentials import token_for
+from gateway.support.credentials import AccessToken, token_for
 from gateway.viewer.printable import printable
 
 if TYPE_CHECKING:
@@ -304,8 +305,9 @@ async def _page(
     from gateway.viewer.gate import Door, Gate
 
     token = token_for("the page", host, token_file, TOKEN_VARIABLE, "--token-file")
-    server = OverviewServer(lambda: as_plain(fleet.rows(time.monotonic())), Bodies(settings))
-    async with server, Gate(host, port, server.port, Door(token)):
+    gate_pass = AccessToken(secrets.token_urlsafe(32))
+    server = OverviewServer(lambda: as_plain(fleet.rows(time.monotonic())), Bodies(settings), gate_pass)
+    async with server, Gate(host, port, server.port, Door(token), gate_pass=gate_pass):
         typer.echo(f"overview: http://{host}:{port}{'/?token=…' if token is not None else ''}")
         yield
 
