@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 fleet_app = typer.Typer(
     help="Many gateways: brokers to try, an overview of all, an archive of what they sent.",
+    epilog="Examples: mocap-gateway fleet list --host broker1; "
+    "mocap-gateway fleet archive list --archive clinic",
     no_args_is_help=True,
     add_completion=False,
 )
@@ -344,6 +346,7 @@ def table_of(rows: list[Row]) -> Table:
 
 archive_app = typer.Typer(
     help="What a fleet has measured, as Parquet files by site, day and wearer.",
+    epilog="Example: mocap-gateway fleet archive list --archive clinic",
     no_args_is_help=True,
     add_completion=False,
 )

@@ -503,6 +503,7 @@ class _Fitting:
 
 modules_app = typer.Typer(
     help="List, identify, assign and configure the modules of a suit; fetch files from its memory card.",
+    epilog="Examples: mocap-gateway modules list -c my.yaml; mocap-gateway modules discover",
     no_args_is_help=True,
 )
 
