@@ -298,7 +298,7 @@ def test_a_file_of_ones_own(name, tmp_path):
 def test_a_truth_value_is_no_number(setting, written, tmp_path):
     path = tmp_path / "gateway.yaml"
     path.write_text("rig: single\nlinks: [{name: suit, url: tcp://127.0.0.1:7000}]\n" + setting % written)
-    with pytest.raises(GatewayError, match="gateway.yaml: '(mqtt|assembly|metrics)"):
+    with pytest.raises(GatewayError, match=r"gateway\.yaml: '(mqtt|assembly|metrics)"):
         load_gateway_settings(path)
 
 
