@@ -133,6 +133,12 @@ def _numbers_from_truths(
             yield from _numbers_from_truths(one, own, (*place, k))
 
 
+def as_shown(value: object) -> str:
+    """Return a value that a message may repeat; what may hold a user name and a password is not."""
+    text = repr(value)
+    return "…" if "@" in text else _shortened(text)
+
+
 def _changed(content: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     changed = dict(content)
     for name, value in changes.items():
@@ -152,7 +158,7 @@ def _explain(problem: Any, model: type[BaseModel]) -> str:
     if problem["type"] == "missing":
         return f"'{where}' is missing"
     message = problem["msg"].removeprefix("Value error, ")
-    shown = "…" if _SECRET.search(where) else _shortened(repr(problem["input"]))
+    shown = "…" if _SECRET.search(where) else as_shown(problem["input"])
     return _shortened(f"'{where}' is {shown}: {message}" if where else message, _LONGEST_LINE)
 
 

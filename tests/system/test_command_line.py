@@ -262,3 +262,22 @@ def test_wrong_recordings_are_one_line(tmp_path):
         assert code == 1
         assert re.search(said, err), err
         assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["modules", "list", "--rig", "single", "--link", "tcp://me:hunter2@lab:7000"],
+        ["modules", "list", "--mqtt", "me:hunter2@lab:1883"],
+        ["calibrate", "body", "--rig", "single", "--link", "tcp://me:hunter2@lab:7000"],
+        ["calibrate", "sensors", "--rig", "single", "--link", "tcp://me:hunter2@lab:7000"],
+        ["watch", "--host", "mqtt://me:hunter2@lab"],
+        ["watch", "--failover", "me:hunter2@lab:1883"],
+    ],
+)
+def test_a_password_on_the_command_line_is_refused_and_not_repeated(gateway, words):
+    code, out, told = gateway(*words)
+    assert code != 0
+    assert "hunter2" not in out + told
+    assert told.count("\n") == 1
+    assert "Traceback" not in told
