@@ -160,11 +160,15 @@ def detected(paths: Sequence[Path], options: ReadOptions) -> str:
     for name, marks in _MARKS.items():
         if any(mark in head for mark in marks):
             return name
-    if b"\0" not in head and b"," in head:
+    if b"DataType=Quaternion" in head:
+        raise FormatError(
+            f"{path} holds orientations as OpenSense has them: import the files of the modules themselves"
+        )
+    if b"\0" not in head and any(delimiter in head for delimiter in b"\t;,"):
         return "csv"
     raise FormatError(
         f"{path} has no format that is known (it begins with {head[:24]!r}): name one with --format, of "
-        + ", ".join(FORMATS)
+        f"{', '.join(FORMATS)}, or let the program that made it export text or CSV"
     )
 
 
