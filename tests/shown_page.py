@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import secrets
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -46,11 +47,14 @@ async def page_of(
     settings: MqttSettings, unused_port: int, chromium: str, size: tuple[int, int] = (800, 600)
 ) -> AsyncIterator[tuple[Any, list[str]]]:
     """The viewer, and a browser's page that shows it, with the addresses of all that it loads."""
+    from gateway.viewer.inner_page import served_behind_gate  # noqa: PLC0415 - needs the extra
     from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
 
-    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+    gate_pass = AccessToken(secrets.token_urlsafe(32))
+    pages = contextlib.ExitStack()
+    server = pages.enter_context(served_behind_gate(gate_pass))
     showing = asyncio.create_task(LiveViewer(server, settings, GATEWAY).run(waits=True))
-    gate = Gate("127.0.0.1", unused_port, server.get_port(), Door(AccessToken(TOKEN)))
+    gate = Gate("127.0.0.1", unused_port, server.get_port(), Door(AccessToken(TOKEN)), gate_pass=gate_pass)
     async with gate, browser_of(chromium) as browser:
         page = await new_page(browser, size)
         loaded: list[str] = []
@@ -62,7 +66,7 @@ async def page_of(
         yield page, loaded
     showing.cancel()
     await asyncio.gather(showing, return_exceptions=True)
-    server.stop()
+    pages.close()
 
 
 async def choose(page: Any, which: int, option: str) -> None:

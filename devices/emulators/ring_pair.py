@@ -25,7 +25,8 @@ MODULE_M = {1: 0.0, 2: 0.196, 3: 0.184, 4: 0.173, 5: 0.174}
 
 
 def write_files(trial: Path, folder: Path) -> None:
-    """Write all of them. trial: folder of the recording's trial. Raises OSError."""
+    """Write all of them. trial: folder of the recording's trial; folder: made if absent. Raises OSError."""
+    folder.mkdir(parents=True, exist_ok=True)
     _write_trc(folder / "ring.trc", *_markers(trial))
     (folder / "ring_set.yaml").write_text(_marker_set())
     shutil.copyfile(trial / "imu_rigid.csv", folder / "imu.csv")

@@ -149,8 +149,10 @@ def _values(
             continue
         try:
             row = [float(text) for text in line.split()]
-            if len(row) != count or not np.isfinite(row).all():
+            if len(row) != count:
                 raise ValueError(f"{len(row)} numbers where {count} channels are wanted")
+            if not np.isfinite(row).all():
+                raise ValueError("a number is infinite, or none")
         except ValueError as error:
             message = f"{path}: line {number}: {error}"
             if partial:

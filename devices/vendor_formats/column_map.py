@@ -18,7 +18,7 @@ from devices.vendor_formats.xsens_text import NORTH_WEST_UP_DEG, add_tracks, tur
 Three = Annotated[list[str], Field(min_length=3, max_length=3)]
 Four = Annotated[list[str], Field(min_length=4, max_length=4)]
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_SCALES = {"m/s²": 1.0, "m/s^2": 1.0, "g": 9.80665, "rad/s": 1.0, "deg/s": np.pi / 180}
+_SCALES = {"m/s²": 1.0, "m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3, "rad/s": 1.0, "deg/s": np.pi / 180}
 _BEYOND = (4000.0, 350.0)
 """m/s² and rad/s (400 g, 20 000 °/s): no sensor that is worn reads more."""
 _USUAL_FORCE = (3.0, 30.0)
@@ -43,7 +43,7 @@ class Acceleration(_Strict):
     """Of the accelerometer; at rest it reads gravity, upwards."""
 
     columns: Three
-    unit: Literal["m/s²", "m/s^2", "g"] = "m/s²"
+    unit: Literal["m/s²", "m/s^2", "g", "mg"] = "m/s²"
 
 
 class AngularRate(_Strict):
@@ -146,6 +146,8 @@ def _sheet(file: Path, mapped: MappedModule, columns: ColumnMap, partial: bool) 
 def _module(sheet: Sheet, mapped: MappedModule, columns: ColumnMap) -> tuple[FloatArray, FloatArray]:
     """Return times (n,), s, and readings (n, 13): specific force, angular rate, field, orientation."""
     names = _wanted(mapped)
+    if columns.time is not None:
+        _refuse_clock_times(sheet, columns.time)
     table = sheet.columns([*([columns.time.column] if columns.time else []), *names])
     values = table[:, -len(names) :]
     if len(table) < 2:
@@ -164,6 +166,16 @@ def _module(sheet: Sheet, mapped: MappedModule, columns: ColumnMap) -> tuple[Flo
     rows = in_order(table[:, 0], sheet, columns.time.column)
     times = table[rows, 0] * _SECONDS[columns.time.unit]
     return spread(index_of_times(times), times, readings[rows], sheet.path)
+
+
+def _refuse_clock_times(sheet: Sheet, time: TimeColumn) -> None:
+    """Raise ``FormatError`` where times are text, such as 10:15:02.5."""
+    text = sheet.first_cell(time.column)
+    if ":" in text:
+        raise FormatError(
+            f"{sheet.path}, line {sheet.first_line}, column '{time.column}': times are numbers of "
+            f"{time.unit}, not '{text}': convert them, or leave 'time' out of the map and give it 'rate_hz'"
+        )
 
 
 def _leave_out_wild(readings: FloatArray, sheet: Sheet) -> None:

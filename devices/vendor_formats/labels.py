@@ -12,13 +12,17 @@ MOST_MODULES = 60
 """Ids from 60 on are left to local measuring devices."""
 
 
+_SIDES = frozenset(("left", "right", "l", "r"))
+
+
 def labels_of(paths: Sequence[Path]) -> list[str]:
     """Return a name for each file: its stem without what all have in common, cut between words."""
     stems = [path.stem for path in paths]
     words = [re.split(r"(?<=[_\- ])", stem) for stem in stems]
     shared = 0
     while len(stems) > 1 and all(len(each) > shared + 1 for each in words):
-        if len({each[shared] for each in words}) > 1:
+        # Of 'left thigh' and 'left shank' the side belongs to both names.
+        if len({each[shared] for each in words}) > 1 or words[0][shared].strip("_- ").lower() in _SIDES:
             break
         shared += 1
     return ["".join(each[shared:]) for each in words]

@@ -36,7 +36,12 @@ def read_movella_dot(paths: Sequence[Path], *, align: str = "stamps", partial: b
         open_sheet(path, lambda names: _STAMP in names, f"a line with '{_STAMP}'", is_partial=partial)
         for path in paths
     ]
-    labels = [tag or label for tag, label in zip(map(_tag, sheets), labels_of(paths), strict=True)]
+    tags = [_tag(sheet) for sheet in sheets]
+    # Those that nobody has named all have the same tag: then the files' names tell them apart.
+    labels = [
+        tag if tag and tags.count(tag) == 1 else label
+        for tag, label in zip(tags, labels_of(paths), strict=True)
+    ]
     refuse_repeats(labels)
     tables = [_module(sheet) for sheet in sheets]
     modules, fused = stamped_tracks(labels, tables, align)

@@ -40,6 +40,8 @@ class Sheet:
     """Whether to end at the first bad row, instead of refusing the file."""
     note: str | None = None
     """What was left out or mended, after ``columns``."""
+    first_line: int = 0
+    """Number of the line that is the first of ``rows``."""
 
     def add_note(self, text: str) -> None:
         """Note one thing more, once."""
@@ -68,6 +70,12 @@ class Sheet:
             raise FormatError(f"{self.path} has no row of numbers below line {len(self.preamble) + 1}")
         return table
 
+    def first_cell(self, name: str) -> str:
+        """Return the text of a column in the first row; empty: it is not there."""
+        cells = self.rows[0].split(self.delimiter) if self.rows and name in self.names else []
+        at = self.names.index(name) if cells else 0
+        return _bare(cells[at])[:_SHOWN] if at < len(cells) else ""
+
     def has(self, *names: str) -> bool:
         """Return whether all these columns are there."""
         return all(name in self.names for name in names)
@@ -77,10 +85,11 @@ class Sheet:
         table = []
         for row, line in enumerate(self.rows):
             try:
-                table.append(self._row(line, at, len(self.preamble) + 2 + row))
+                table.append(self._row(line, at, self.first_line + row))
             except FormatError as error:
                 if not self.is_partial:
-                    raise FormatError(f"{error}; --partial imports the rows before it") from None
+                    remedy = "; --partial imports the rows before it" if row else ""
+                    raise FormatError(f"{error}{remedy}") from None
                 self.add_note(f"{error}: this row and {len(self.rows) - row - 1} after it were left out")
                 del self.rows[row:]
                 break
@@ -107,6 +116,20 @@ class Sheet:
 def _bare(cell: str) -> str:
     """Return a cell without the blanks and the quotes around it."""
     return cell.strip().strip('"').strip()
+
+
+def _is_words(cells: Sequence[str]) -> bool:
+    """Return whether cells hold text, as units, and no number."""
+    texts = [text for text in map(_bare, cells) if text]
+    return len(texts) > 1 and not any(map(_is_number, texts))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def read_lines(path: Path) -> list[str]:
@@ -148,7 +171,14 @@ def open_sheet(
             # Lines may end with a delimiter, which names no column.
             while names and not names[-1]:
                 names.pop()
-            return Sheet(path, tuple(lines[:index]), tuple(names), rows, delimiter, is_partial)
+            preamble, first_line, note = tuple(lines[:index]), index + 2, None
+            if len(rows) > 1 and _is_words(rows[0].split(delimiter)):
+                del rows[0]
+                note = (
+                    f"{path}, line {first_line}: holds no number and was passed over, as a line of units is"
+                )
+                first_line += 1
+            return Sheet(path, preamble, tuple(names), rows, delimiter, is_partial, note, first_line)
     raise FormatError(
         f"{path}: none of the first {_HEADER_LINES} lines names the columns; {wanted} is wanted"
     )

@@ -25,7 +25,11 @@ from gateway.errors import GatewayError
 from gateway.support.settings_files import find_file, load_yaml, shipped_folder
 from gateway.support.whole_files import writing
 
-body_app = typer.Typer(help="Bodies: segments, joints, lengths.", no_args_is_help=True)
+body_app = typer.Typer(
+    help="Bodies: segments, joints, lengths.",
+    epilog="Examples: mocap-gateway body list; mocap-gateway body show human_17 --height 1.82",
+    no_args_is_help=True,
+)
 
 BodyName = Annotated[str, typer.Argument(help="A shipped body or a body file.")]
 Height = Annotated[float | None, typer.Option(help="Stature of the person, m.")]
@@ -39,7 +43,7 @@ Output = Annotated[Path, typer.Option("--output", "-o", help="Body file to write
 Force = Annotated[bool, typer.Option("--force", help="Replace the file if it is there.")]
 
 
-@body_app.command("list")
+@body_app.command("list", epilog="Example: mocap-gateway body list")
 def list_bodies() -> None:
     """List the shipped bodies."""
     table = Table("body", "segments", "joints", "stature m")

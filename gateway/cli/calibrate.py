@@ -306,7 +306,11 @@ def _clock_table(table: ClockTable) -> Table:
     return shown
 
 
-calibrate_app = typer.Typer(help="Measure what has to be known before a capture.", no_args_is_help=True)
+calibrate_app = typer.Typer(
+    help="Measure what has to be known before a capture.",
+    epilog="Examples: mocap-gateway calibrate sensors -c my.yaml; mocap-gateway calibrate body -c my.yaml",
+    no_args_is_help=True,
+)
 calibrate_app.command(epilog="Example: mocap-gateway calibrate clocks -c config/gateway.yaml --minutes 60")(
     clocks
 )

@@ -24,10 +24,10 @@ from devices.reconnect import ReconnectingLink
 from devices.replay_link import ReplayLink, contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.procedure import Kind, Step
+from gateway.cli.options import link_of
 from gateway.cli.preparing import stand_in
 from gateway.errors import GatewayError
 from gateway.settings import GatewaySettings, load_gateway_settings
-from gateway.sources.link_settings import LinkSettings
 from gateway.support.settings_files import find_file
 
 if TYPE_CHECKING:
@@ -184,7 +184,7 @@ def _settings(config: Path | None, link: str | None, rig: str | None) -> Gateway
         return settings if rig is None else settings.model_copy(update={"rig": rig})
     if link is None or rig is None:
         raise GatewayError("where is the suit? give -c CONFIG, or --link PORT --rig RIG")
-    return GatewaySettings(links=[LinkSettings(name="suit", url=link)], rig=rig)
+    return GatewaySettings(links=[link_of(link)], rig=rig)
 
 
 async def _calibrate(

@@ -32,6 +32,7 @@ from gateway.calibration.sensor_session import (
 )
 from gateway.calibration.sensors import ENOUGH_COVERAGE, EllipsoidResult, GyroscopeResult
 from gateway.cli.modules_suit import SuitChoice, with_suit
+from gateway.cli.options import link_of
 from gateway.errors import GatewayError, nearest
 from gateway.settings import load_gateway_settings
 from gateway.sources.link_settings import LinkSettings
@@ -291,7 +292,7 @@ def _rig_and_links(suit: SuitChoice) -> tuple[str, Sequence[LinkSettings]]:
     if suit.link is not None:
         if suit.rig is None:
             raise GatewayError("--link needs --rig: name a shipped rig, such as suit_17, or a rig file")
-        return suit.rig, [LinkSettings(name="suit", url=suit.link)]
+        return suit.rig, [link_of(suit.link)]
     if suit.config is None:
         raise GatewayError("where is the suit? give -c CONFIG, or --link PORT --rig RIG")
     settings = load_gateway_settings(suit.config)

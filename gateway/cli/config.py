@@ -20,6 +20,7 @@ from gateway.support.whole_files import write_whole
 
 config_app = typer.Typer(
     help="Check a configuration file, show what may stand in one, make a key, describe a suit's CAN bus.",
+    epilog="Example: mocap-gateway config check my.yaml",
     no_args_is_help=True,
 )
 

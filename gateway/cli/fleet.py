@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import csv
 import json
+import secrets
 import signal
 import sys
 import tempfile
@@ -23,7 +24,7 @@ from gateway.cli.options import AsJson, BrokerChoice, with_broker
 from gateway.cli.terminal import wide_console
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
-from gateway.support.credentials import token_for
+from gateway.support.credentials import AccessToken, token_for
 from gateway.viewer.printable import printable
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 fleet_app = typer.Typer(
     help="Many gateways: brokers to try, an overview of all, an archive of what they sent.",
+    epilog="Examples: mocap-gateway fleet list --host broker1; "
+    "mocap-gateway fleet archive list --archive clinic",
     no_args_is_help=True,
     add_completion=False,
 )
@@ -304,8 +307,9 @@ async def _page(
     from gateway.viewer.gate import Door, Gate
 
     token = token_for("the page", host, token_file, TOKEN_VARIABLE, "--token-file")
-    server = OverviewServer(lambda: as_plain(fleet.rows(time.monotonic())), Bodies(settings))
-    async with server, Gate(host, port, server.port, Door(token)):
+    gate_pass = AccessToken(secrets.token_urlsafe(32))
+    server = OverviewServer(lambda: as_plain(fleet.rows(time.monotonic())), Bodies(settings), gate_pass)
+    async with server, Gate(host, port, server.port, Door(token), gate_pass=gate_pass):
         typer.echo(f"overview: http://{host}:{port}{'/?token=…' if token is not None else ''}")
         yield
 
@@ -342,6 +346,7 @@ def table_of(rows: list[Row]) -> Table:
 
 archive_app = typer.Typer(
     help="What a fleet has measured, as Parquet files by site, day and wearer.",
+    epilog="Example: mocap-gateway fleet archive list --archive clinic",
     no_args_is_help=True,
     add_completion=False,
 )

@@ -98,7 +98,11 @@ def import_files(
     suit, notes = _suit(recording, name, {} if name == "bvh" else maps, wanted)
     settings = settings_of(recording, wanted.rig or suit.skeleton.name, wanted.reconstructor)
     if is_fused(settings) and not recording.fused:
-        raise GatewayError(f"--reconstructor {wanted.reconstructor}: the files hold no orientations")
+        raise GatewayError(
+            f"--reconstructor {wanted.reconstructor}: the files hold no orientations"
+            if wanted.reconstructor is not None
+            else "the files hold neither orientations nor both accelerations and angular rates"
+        )
     make_ready(settings.reconstructor)
     if wanted.neutral is not None:
         suit = _aligned(recording, suit, settings, wanted.neutral, wanted.forward)

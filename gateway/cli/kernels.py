@@ -18,6 +18,7 @@ from gateway.support.processor import target_name
 
 kernels_app = typer.Typer(
     help="Numerical kernels: compile them beforehand, show how far they are.",
+    epilog="Examples: mocap-gateway kernels build; mocap-gateway kernels status joint",
     no_args_is_help=True,
     add_completion=False,
 )

@@ -18,6 +18,7 @@ class LazyCommand(NamedTuple):
     summary: str
     """First line of its help."""
     epilog: str | None = None
+    """Example of a function; a group has its own."""
 
 
 class LazyGroup(TyperGroup):

@@ -178,6 +178,7 @@ app = typer.Typer(
     name="mocap-gateway",
     cls=_Commands,
     help="Open motion capture from body-worn sensors: wearable suit in, skeleton over MQTT out.",
+    epilog="Examples: mocap-gateway demo; mocap-gateway run -c my.yaml; mocap-gateway view",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -202,6 +203,7 @@ def _options(
 video_app = typer.Typer(
     cls=_VideoCommands,
     help="Synchronised cameras without markers: solve, overlay, serve.",
+    epilog="Example: mocap-gateway video solve cam*.mp4 --cameras cameras.yaml -o walk.mcap",
     no_args_is_help=True,
     add_completion=False,
 )

@@ -338,6 +338,7 @@ class _Fitting:
         self._timeout = timeout
         self._lines = TypedLines()
         self._undoable = 0
+        self._worn_by: dict[str, str] = {}  # unique id by segment, of this round
 
     async def begin(self, chosen: list[str] | None) -> None:
         """See who is there; give devices that share an id ids of their own. Raises ``GatewayError``."""
@@ -398,6 +399,7 @@ class _Fitting:
             if step in {"r", "u"}:
                 place = max(0, place - 1)
                 skipped = [each for each in skipped if each != self._segments[place]]
+                self._worn_by.pop(self._segments[place], None)
                 continue
             if step == "s":
                 skipped.append(name)
@@ -430,9 +432,18 @@ class _Fitting:
 
             proposal = self._wardrobe.propose(segment, found["unique_id"])
             sign = _SIGNS.get(found["sign"], "was shaken")
+            other = next((at for at, worn in self._worn_by.items() if worn == proposal.unique_id), None)
+            if other is not None:  # who shakes for long has not seen yet that the next one is asked for
+                self._console.print(
+                    f"  module {proposal.before} {sign}, which is the one on the {other.replace('_', ' ')}: "
+                    "hold it still (r: that segment once more)",
+                    style="yellow",
+                )
+                continue
             self._console.print(f"  module {proposal.before} ({proposal.unique_id}) {sign}: {proposal}")
             if proposal.is_right_already or await self._agrees():
                 await self._carry_out(proposal)
+                self._worn_by[segment] = proposal.unique_id
                 return "done"
 
     async def _next_sign(self) -> dict[str, Any] | str | None:
@@ -503,6 +514,7 @@ class _Fitting:
 
 modules_app = typer.Typer(
     help="List, identify, assign and configure the modules of a suit; fetch files from its memory card.",
+    epilog="Examples: mocap-gateway modules list -c my.yaml; mocap-gateway modules discover",
     no_args_is_help=True,
 )
 

@@ -25,7 +25,11 @@ _READ_AT_ONCE = 12 * 192
 
 Device = Annotated[str, typer.Option(help="Whose card: 'relay', a module id or a unique id.")]
 
-card_app = typer.Typer(help="Files on the memory card of a relay.", no_args_is_help=True)
+card_app = typer.Typer(
+    help="Files on the memory card of a relay.",
+    epilog="Examples: mocap-gateway modules card list -c my.yaml; mocap-gateway modules card download --help",
+    no_args_is_help=True,
+)
 
 
 @with_suit

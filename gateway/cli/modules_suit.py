@@ -16,12 +16,12 @@ from rich.table import Table
 from rich.text import Text
 
 from firmware_protocol import RELAY
-from gateway.cli.options import with_options
+from gateway.cli.options import broker_settings, link_of, with_options
 from gateway.contract.topics import ANY_GATEWAY
 from gateway.errors import GatewayError
-from gateway.outputs.settings import MqttSettings, TlsSettings
+from gateway.outputs.settings import MqttSettings
 from gateway.settings import load_gateway_settings
-from gateway.sources.link_settings import LinkSettings
+from gateway.support.settings_files import as_shown
 
 _SUIT = "Which suit"
 
@@ -102,7 +102,7 @@ async def operations_of(choice: SuitChoice, needs_all: bool = True) -> AsyncIter
     if choice.link is not None:
         if choice.rig is None:
             raise GatewayError("--link needs --rig: name a shipped rig, such as suit_17, or a rig file")
-        suit, links = load_rig(choice.rig), [LinkSettings(name="suit", url=choice.link)]
+        suit, links = load_rig(choice.rig), [link_of(choice.link)]
         async with suit_session(links, suit, allow_writes=choice.allow_writes, journal=journal) as local:
             yield local
         return
@@ -148,13 +148,13 @@ def _broker(choice: SuitChoice) -> MqttSettings:
     assert choice.mqtt is not None
     host, colon, port = choice.mqtt.rpartition(":")
     if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):
-        raise GatewayError(f"--mqtt {choice.mqtt}: write HOST:PORT, such as 127.0.0.1:1883")
-    return MqttSettings(
+        raise GatewayError(f"--mqtt {as_shown(choice.mqtt)}: write HOST:PORT, such as 127.0.0.1:1883")
+    return broker_settings(
+        choice.ca_file,
         host=host,
         port=int(port),
         username=choice.username,
         password_file=choice.password_file,
-        tls=None if choice.ca_file is None else TlsSettings(ca_file=choice.ca_file),
         base_topic=choice.base_topic,
     )
 

@@ -642,7 +642,10 @@ async def _serve(
 
 
 optical_app = typer.Typer(
-    help="Markers of an optical system (C3D, TRC, live): fit a body, solve, play.", no_args_is_help=True
+    help="Markers of an optical system (C3D, TRC, live): fit a body, solve, play.",
+    epilog="Examples: mocap-gateway optical fit static.c3d walk.c3d -o anna.yaml; "
+    "mocap-gateway optical solve walk.c3d --subject anna.yaml",
+    no_args_is_help=True,
 )
 optical_app.command(
     epilog="Examples: mocap-gateway optical fit static.c3d walk1.c3d -o anna.yaml; "

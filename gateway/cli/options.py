@@ -13,8 +13,11 @@ from typing import Annotated, Any, Literal
 import typer
 from pydantic import ValidationError
 
+from devices.link import SUIT
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings, TlsSettings
+from gateway.sources.link_settings import LinkSettings
+from gateway.support.settings_files import as_shown
 
 Command = Callable[..., None]
 
@@ -76,11 +79,23 @@ def broker_settings(ca_file: Path | None, **options: Any) -> MqttSettings:
 
 def _complaint(problem: Any) -> str:
     """Say what is wrong, after the option that it stands in."""
-    message = problem["msg"].removeprefix("Value error, ")
+    message = _message(problem)
     if not problem["loc"]:
-        return str(message)
+        return message
     option = str(problem["loc"][0]).replace("_", "-")
-    return f"--{option} {problem['input']}: {message}"
+    return f"--{option} {as_shown(problem['input'])}: {message}"
+
+
+def link_of(url: str) -> LinkSettings:
+    """Return the link that ``--link`` names. Raises ``GatewayError`` for what cannot be one."""
+    try:
+        return LinkSettings(name=SUIT, url=url)
+    except ValidationError as error:
+        raise GatewayError("; ".join(f"--link: {_message(problem)}" for problem in error.errors())) from None
+
+
+def _message(problem: Any) -> str:
+    return str(problem["msg"]).removeprefix("Value error, ")
 
 
 @dataclass(frozen=True)

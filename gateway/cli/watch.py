@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import io
 import os
+import secrets
 import sys
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
@@ -291,27 +291,19 @@ class _Servers(NamedTuple):
 async def _page(place: _Place) -> AsyncIterator[_Servers]:
     """Serve a page behind its gate, while it is wanted. Raises ``GatewayError`` without the extra."""
     require_package("viser")
-    import viser
-
     from gateway.viewer.gate import Door, Gate
+    from gateway.viewer.inner_page import served_behind_gate
 
-    with contextlib.redirect_stdout(io.StringIO()):  # it would name the port behind the gate
-        server = viser.ViserServer(LOOPBACK, 0, label="mocap-gateway", verbose=False)
-        looking = None
-        if place.looking is not None:
-            looking = viser.ViserServer(LOOPBACK, 0, label="mocap-gateway", verbose=False)
-    try:
+    gate_pass = AccessToken(secrets.token_urlsafe(32))
+    with contextlib.ExitStack() as pages:
+        server = pages.enter_context(served_behind_gate(gate_pass))
+        looking = None if place.looking is None else pages.enter_context(served_behind_gate(gate_pass))
         door = Door(place.token, looking=place.looking)
         looking_port = None if looking is None else looking.get_port()
-        async with Gate(place.host, place.port, server.get_port(), door, looking_port):
+        async with Gate(place.host, place.port, server.get_port(), door, looking_port, gate_pass):
             shown = "/?token=… (the token's own text)" if place.token is not None else ""
             typer.echo(f"live page: http://{place.host}:{place.port}{shown}")
             yield _Servers(server, looking)
-    finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
-            if looking is not None:
-                looking.stop()
 
 
 async def _serve_live(

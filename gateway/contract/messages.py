@@ -192,7 +192,8 @@ class ModuleState(Message):
     availability: Literal["online", "offline"] = Field(description="As on its availability topic.")
     doubt: str | None = Field(
         default=None,
-        description="Why its segment is `doubtful`, and what to do; null: nothing speaks against it.",
+        description="Why its segment is `doubtful`, or its magnetometer is left out, and what to do; null: "
+        "nothing speaks against it.",
     )
     silent_since_ns: int | None = Field(
         description="Gateway time of its last packet while it is offline, ns; null: online, or never heard."

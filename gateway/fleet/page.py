@@ -23,6 +23,8 @@ from typing import Any, Self
 
 from gateway.fleet.cluster import free_ports
 from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings
+from gateway.support.credentials import AccessToken
+from gateway.viewer.gate import PASS_HEADER
 
 MOST_BODIES = 4
 """Pages of bodies at one time; for one more the oldest is closed."""
@@ -128,9 +130,12 @@ class Bodies:
 
 
 class OverviewServer:
-    """Serves page and rows on a port of loopback that nobody is told. Belongs to one event loop."""
+    """Serves page and rows on a free port of loopback, to its gate alone. Belongs to one event loop."""
 
-    def __init__(self, rows: Callable[[], list[dict[str, Any]]], bodies: Bodies) -> None:
+    def __init__(
+        self, rows: Callable[[], list[dict[str, Any]]], bodies: Bodies, gate_pass: AccessToken
+    ) -> None:
+        self.gate_pass = gate_pass
         self._rows = rows
         self._bodies = bodies
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -180,7 +185,9 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer one request."""
         path, _, query = self.path.partition("?")
-        if path == "/":
+        if not self.owner.gate_pass.matches(", ".join(self.headers.get_all(PASS_HEADER, []))):
+            self._answer(HTTPStatus.FORBIDDEN, "text/plain", "the page is served through its gate only\n")
+        elif path == "/":
             self._answer(HTTPStatus.OK, "text/html; charset=utf-8", PAGE)
         elif path == "/fleet.json":
             self._answer(HTTPStatus.OK, "application/json", json.dumps(self.owner.rows()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -17,7 +17,7 @@ from gateway.imports.segment_names import BODY
 from gateway.support.settings_files import load_settings
 
 if TYPE_CHECKING:
-    from devices.emulators.recordings import Recording
+    from devices.emulators.recordings import ModuleTrack, Recording
 
 _read_movella_dot = Deferred("devices.vendor_formats.movella_dot", "read_movella_dot")
 _read_ximu3 = Deferred("devices.vendor_formats.ximu3", "read_ximu3")
@@ -108,8 +108,34 @@ FORMATS: dict[str, Format] = {
 
 
 def read(paths: Sequence[Path], name: str, options: ReadOptions) -> Recording:
-    """Return the recording in files of a format. Raises ``FormatError`` and ``GatewayError``."""
-    return FORMATS[name].read(paths, options)
+    """Return the recording in files of a format, without stuck magnetometers; a note names them.
+
+    Raises ``FormatError`` and ``GatewayError``.
+    """
+    recording = FORMATS[name].read(paths, options)
+    stuck = [track.name for track in recording.modules if _has_stuck_field(track)]
+    if not stuck:
+        return recording
+    modules = tuple(
+        replace(track, magnetic_field=np.full_like(track.magnetic_field, np.nan))
+        if track.name in stuck
+        else track
+        for track in recording.modules
+    )
+    note = f"the magnetometer of {', '.join(stuck)} gives one reading throughout: it is left out"
+    return replace(recording, modules=modules, notes=(*recording.notes, note))
+
+
+def _has_stuck_field(track: ModuleTrack) -> bool:
+    """Return whether a magnetometer repeats one reading while its module turns. At rest any may."""
+    from gateway.reconstruction.module_faults import FIELD_STUCK_TURN, FIELD_TURNING  # noqa: PLC0415
+
+    field = track.magnetic_field[np.isfinite(track.magnetic_field).all(axis=1)]
+    if len(field) < 2 or np.ptp(field, axis=0).any():
+        return False
+    rate = np.linalg.norm(track.angular_rate[1:], axis=1)
+    turned = np.nansum(np.where(rate > FIELD_TURNING, rate, 0.0) * np.diff(track.times))
+    return bool(turned > FIELD_STUCK_TURN)
 
 
 def detected(paths: Sequence[Path], options: ReadOptions) -> str:
@@ -134,11 +160,15 @@ def detected(paths: Sequence[Path], options: ReadOptions) -> str:
     for name, marks in _MARKS.items():
         if any(mark in head for mark in marks):
             return name
-    if b"\0" not in head and b"," in head:
+    if b"DataType=Quaternion" in head:
+        raise FormatError(
+            f"{path} holds orientations as OpenSense has them: import the files of the modules themselves"
+        )
+    if b"\0" not in head and any(delimiter in head for delimiter in b"\t;,"):
         return "csv"
     raise FormatError(
         f"{path} has no format that is known (it begins with {head[:24]!r}): name one with --format, of "
-        + ", ".join(FORMATS)
+        f"{', '.join(FORMATS)}, or let the program that made it export text or CSV"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -95,6 +96,26 @@ def _checked_address(address: str) -> str:
 BrokerAddress = Annotated[str, AfterValidator(_checked_address)]
 
 
+def _checked_host(host: str) -> str:
+    if "@" in host:
+        raise ValueError("a host takes no user name or password: leave out what stands before the @")
+    is_address = not set(host) & set("/:") or _is_address(host)
+    if not (is_address and host.isprintable()) or " " in host:
+        raise ValueError("the name or the address of a host alone is wanted, such as 127.0.0.1, without port")
+    return host
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
+HostName = Annotated[str, Field(min_length=1), AfterValidator(_checked_host)]
+
+
 class MqttSettings(BaseModel):
     """Connection to the broker, topics and payload. The password is never part of it."""
 
@@ -105,7 +126,7 @@ class MqttSettings(BaseModel):
         description="'external': a broker that runs already, such as mosquitto. 'embedded': the gateway "
         "starts its own on this machine, for a first run: MQTT 3.1.1, loopback only, no passwords.",
     )
-    host: str = Field(default="127.0.0.1", min_length=1, description="Host name or address of the broker.")
+    host: HostName = Field(default="127.0.0.1", description="Host name or address of the broker.")
     port: int = Field(
         default=1883,
         ge=0,
@@ -316,9 +337,8 @@ class _Output(BaseModel):
 
 
 class _Datagrams(_Output):
-    host: str = Field(
+    host: HostName = Field(
         default="127.0.0.1",
-        min_length=1,
         description="where they are sent: loopback, unless another machine listens",
     )
 
@@ -369,7 +389,7 @@ class LslSettings(_Output):
 class FoxgloveSettings(_Output):
     """A server that Foxglove connects to (extra ``foxglove``), without a password."""
 
-    host: str = Field(default="127.0.0.1", min_length=1, description="where it listens: loopback alone")
+    host: HostName = Field(default="127.0.0.1", description="where it listens: loopback alone")
     port: int = Field(default=8765, ge=0, le=65535, description="TCP port; 0: any free one")
 
 
@@ -393,7 +413,7 @@ class RobotUdpSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    host: str = Field(default="127.0.0.1", min_length=1, description="where they are sent")
+    host: HostName = Field(default="127.0.0.1", description="where they are sent")
     port: int = Field(default=39700, ge=1, le=65535, description="UDP port of the robot's program")
 
 

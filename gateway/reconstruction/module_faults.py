@@ -4,7 +4,8 @@ A sensor's noise changes its last bits all the time. A module whose specific for
 for a while, though other modules' have, is stuck. (If none changes, they may be noise-free simulations at
 rest: none is called stuck.) Gyroscopes alone are stuck when they repeat themselves while they turn, or while
 the specific force shows that the module moves: sooner than at rest, where coarse sensors may repeat
-themselves.
+themselves. A magnetometer alone is stuck when it repeats itself while the gyroscopes turn: longer than slow
+magnetometers take between two readings.
 """
 
 from __future__ import annotations
@@ -29,6 +30,13 @@ TURNING = 0.05
 SWINGING = 1.0
 """m/s²: change of specific force over that time that no rest has."""
 
+FIELD_STUCK_S = 2.0
+"""Magnetometers that take a reading only once a second are repeated for as long."""
+FIELD_STUCK_TURN = 1.0
+"""rad turned under one reading. About the field's own axis none changes, but nobody turns that exactly."""
+FIELD_TURNING = 0.3
+"""rad/s: rates below may be an offset of the gyroscopes, which turns nothing."""
+
 
 class Repeats(Record):
     """How long a module has repeated itself."""
@@ -40,6 +48,10 @@ class Repeats(Record):
     force_unchanged_s: float
     force_before: Vector  # when the rate changed last
     is_stuck: int  # 1 in the newest frame
+    field: Vector  # last
+    field_unchanged_s: float
+    turned: float  # since the field changed, rad
+    has_stuck_field: int  # 1 in the newest frame
 
 
 class RepeatState(NamedTuple):
@@ -51,20 +63,28 @@ class RepeatState(NamedTuple):
 def initial_repeats(m: int) -> RepeatState:
     """Return the state of m modules before the first frame."""
     modules = records(Repeats, m)
-    modules["force"], modules["rate"] = np.nan, np.nan
+    modules["force"], modules["rate"], modules["field"] = np.nan, np.nan, np.nan
     return RepeatState(modules)
 
 
 @compiled
 def watch_repeats(
-    modules: Records[Repeats], force: FloatArray, rate: FloatArray, status: StatusArray, dt: float
+    modules: Records[Repeats],
+    force: FloatArray,
+    rate: FloatArray,
+    field: FloatArray,
+    status: StatusArray,
+    dt: float,
 ) -> None:
-    """Set ``is_stuck`` of each module. force, rate: (m, 3) as sent; dt: since the frame before, s."""
+    """Set ``is_stuck`` and ``has_stuck_field`` of each module.
+
+    force, rate, field: (m, 3) as sent; dt: since the frame before, s.
+    """
     m = len(status)
     lively, lively_rates = 0, 0
     for i in range(m):
         module = modules[i]
-        module.is_stuck = 0
+        module.is_stuck, module.has_stuck_field = 0, 0
         if status[i] > 1:  # held by the gateway, or missing: the assembler's matter
             continue
         force_changed, rate_changed = False, False
@@ -80,6 +100,7 @@ def watch_repeats(
         if rate_changed:
             for k in range(3):
                 module.force_before[k] = force[i, k]
+        _watch_field(module, field[i], rate[i], dt)
         lively_rates += module.rate_unchanged_s < LIVELY_S
         lively += module.unchanged_s < LIVELY_S
     for i in range(m):
@@ -87,6 +108,25 @@ def watch_repeats(
             is_stuck = lively > 0 and modules[i].unchanged_s >= STUCK_S
             is_stuck |= lively_rates > 0 and _has_stuck_rate(modules[i], force[i], rate[i])
             modules[i].is_stuck = int(is_stuck)
+
+
+@compiled
+def _watch_field(module: Repeats, field: FloatArray, rate: FloatArray, dt: float) -> None:
+    """Set ``has_stuck_field`` of a module: its magnetometer repeats itself while the module turns."""
+    if not norm(field) >= 0.0:  # NaN: a slow magnetometer has no reading for every frame
+        return
+    changed = False
+    for k in range(3):
+        changed = changed or _differs(field[k], module.field[k])
+        module.field[k] = field[k]
+    if changed:
+        module.field_unchanged_s, module.turned = 0.0, 0.0
+        return
+    module.field_unchanged_s += dt
+    if norm(rate) > FIELD_TURNING:
+        module.turned += norm(rate) * dt
+    is_stuck = module.field_unchanged_s >= FIELD_STUCK_S and module.turned >= FIELD_STUCK_TURN
+    module.has_stuck_field = int(is_stuck)
 
 
 @compiled

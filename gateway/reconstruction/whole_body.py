@@ -61,6 +61,11 @@ from gateway.reconstruction.whole_body_frames import (
     prepare_frames,
 )
 
+_STUCK_FIELD = (
+    "its magnetometer repeats one reading while the module turns, so it is left out: switch the module off "
+    "and on; if that does not help, the sensor is broken"
+)
+
 
 class OrientationFinder(Protocol):
     """What this wraps: any reconstructor."""
@@ -88,7 +93,7 @@ class Prepared(NamedTuple):
     """T instants as the finder is given them, and what is done after it needs to know of them."""
 
     observations: Sequence[ImuFrame]
-    """Without modules that are stuck."""
+    """Without modules and magnetometers that are stuck."""
     frames: StackedFrames
     """The same, in arrays."""
     specific_force: FloatArray
@@ -218,7 +223,8 @@ class WholeBodyReconstructor:
     def prepare(self, observations: Sequence[ImuFrame]) -> Prepared:
         """Return instants in time order, at least one, prepared for the finder.
 
-        Stuck modules are left out, and it is found how long each segment has been standing still.
+        Stuck modules and magnetometers are left out, and it is found how long each segment has been standing
+        still.
         """
         frames, n = stacked(observations), self._suit.skeleton.n_segments
         force, clipped, stood_s, dt = _room(len(observations), n)
@@ -285,11 +291,14 @@ class WholeBodyReconstructor:
         return {names[s]: round(float(scores[s]), 3) for s in np.flatnonzero(np.isfinite(scores))}
 
     def doubts(self) -> dict[int, str]:
-        """Return by module id why its segment is doubtful, and a remedy."""
+        """Return by module id what speaks against it, and a remedy.
+
+        That is why its segment is doubtful, or that its magnetometer is stuck.
+        """
         mounting, rows = self._memory.mounting, self._suit.module_of_segment
-        return {
-            self._suit.module_ids[rows[s]]: self._doubt(int(s)) for s in np.flatnonzero(mounting.is_doubtful)
-        }
+        ids, repeats = self._suit.module_ids, self._memory.repeats.modules
+        stuck = {ids[m]: _STUCK_FIELD for m in np.flatnonzero(repeats["has_stuck_field"])}
+        return stuck | {ids[rows[s]]: self._doubt(int(s)) for s in np.flatnonzero(mounting.is_doubtful)}
 
     def _doubt(self, s: int) -> str:
         """Return why a segment is doubtful, and a remedy, in words."""

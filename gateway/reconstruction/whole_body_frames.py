@@ -109,24 +109,27 @@ def prepare_frames(
     repeats: Records[Repeats],
     stances: Records[Stance],
 ) -> bool:
-    """Prepare instants in time order for the finder; return whether any module is stuck.
+    """Prepare instants in time order for the finder; return whether any sensor is stuck.
 
-    Values of stuck modules are taken out in place. time_ns (T,), then (T, m, 3) and (T, m) by module. Written
-    are, by segment and in its axes, specific force (T, n, 3), clipped sensors (T, n) and for how long each
-    stands still (T, n), s; dt (T,) since the frame before, s; then the arrays of a ``Before``.
+    Values of stuck modules, and the field of stuck magnetometers, are taken out in place. time_ns (T,), then
+    (T, m, 3) and (T, m) by module. Written are, by segment and in its axes, specific force (T, n, 3), clipped
+    sensors (T, n) and for how long each stands still (T, n), s; dt (T,) since the frame before, s; then the
+    arrays of a ``Before``.
     """
     observed = _nothing_observed(len(module_of_segment))
     stance = StanceState(stances)
     any_stuck = False
     for t in range(len(time_ns)):
         dt[t] = _step(clock, time_ns[t])
-        watch_repeats(repeats, specific_force[t], angular_rate[t], status[t], dt[t])
+        watch_repeats(repeats, specific_force[t], angular_rate[t], magnetic_field[t], status[t], dt[t])
         for m in range(len(repeats)):
             if repeats[m].is_stuck:
-                any_stuck = True
                 status[t, m] = MISSING
                 for i in range(3):
                     specific_force[t, m, i], angular_rate[t, m, i] = np.nan, np.nan
+            if repeats[m].is_stuck or repeats[m].has_stuck_field:
+                any_stuck = True
+                for i in range(3):
                     magnetic_field[t, m, i] = np.nan
         by_segment_into(
             observed, module_of_segment, R_bs, specific_force[t], angular_rate[t],

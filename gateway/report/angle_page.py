@@ -13,7 +13,7 @@ import numpy as np
 from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.support.whole_files import writing
+from gateway.support.whole_files import write_whole, writing
 
 _MOST_POINTS = 2000
 """Of a curve: more cannot be seen."""
@@ -46,7 +46,7 @@ def save_page(page: AnglePage, path: Path) -> None:
     picture = _picture(page, "png" if kind == "html" else kind)
     content = _html(page, picture).encode() if kind == "html" else picture
     with writing(path):
-        path.write_bytes(content)
+        write_whole(path, content)
 
 
 def _picture(page: AnglePage, kind: str) -> bytes:

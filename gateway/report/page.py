@@ -28,7 +28,7 @@ from gateway.report.elements import (
 )
 from gateway.report.gathering import Findings, ModuleFindings
 from gateway.sources.clock_mode import ClockMode
-from gateway.support.whole_files import writing
+from gateway.support.whole_files import write_whole, writing
 
 _STATUS_COLOURS = {
     Status.MEASURED: "#2e9e5b",
@@ -157,7 +157,7 @@ def write_report(found: Findings, target: Path) -> None:
     require_matplotlib()
     text = page(found)
     with writing(target):
-        target.write_text(text, encoding="utf-8")
+        write_whole(target, text.encode())
 
 
 def page(found: Findings) -> str:

@@ -524,6 +524,18 @@ class Service:
                     ", ".join(new),
                 )
 
+    def _warn_of_unreadable_links(self, named: set[str]) -> None:
+        """Name links of which nothing can be read, each once. named: those who were, and are now."""
+        several = self.pipeline.stream.sender_statistics()  # whose senders are named one by one
+        for link in self.pipeline.stream.unreadable():
+            if link not in named and link not in several:
+                named.add(link)
+                log.warning(
+                    "%s: bytes come, and no valid packet is among them: is its baud or bit rate right, and "
+                    "is it the suit? 'mocap-gateway doctor' looks closer",
+                    link,
+                )
+
     def _packets_report(self) -> str:
         """Return how many modules are heard, and their packets; nothing for a rig without modules."""
         if not self._unknown_modules.names:
@@ -539,9 +551,11 @@ class Service:
         """Log every ``REPORT_INTERVAL_S`` seconds how many poses and packets came and were lost."""
         frames_before = 0
         unknown: set[str] = set()
+        unreadable: set[str] = set()
         while True:
             await asyncio.sleep(REPORT_INTERVAL_S)
             self._warn_of_unknown_modules(unknown)
+            self._warn_of_unreadable_links(unreadable)
             frames = self.pipeline.skeleton_frames
             log.info(
                 "%.1f poses/s%s; %s; poses dropped %d",

@@ -194,6 +194,14 @@ class Stream:
             for name, decoder in self._decoders.items()
         }
 
+    def unreadable(self) -> tuple[str, ...]:
+        """Return the links on which something came, and nothing of it was a valid packet."""
+        return tuple(
+            name
+            for name, decoder in self._decoders.items()
+            if not decoder.accepted and any(decoder.dropped.values())
+        )
+
     def statistics(self) -> dict[str, object]:
         """Return counters for the health message."""
         return {} if self.triggers is None else {"triggers": self.triggers.figures.summary()}

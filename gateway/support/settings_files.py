@@ -6,7 +6,7 @@ import contextlib
 import re
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -99,7 +99,7 @@ def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | N
     if changes:
         content = _changed(content, changes)
     try:
-        return model.model_validate(content)
+        settings = model.model_validate(content)
     except ValidationError as error:
         problems = error.errors()
         # One mistake, as a wrong indent, may give hundreds of problems.
@@ -107,6 +107,36 @@ def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | N
         if len(problems) > _MOST_PROBLEMS:
             lines.append(f"{path}: and {len(problems) - _MOST_PROBLEMS} more like these")
         raise SettingsError("\n".join(lines)) from error
+    truths = [_place(place) for place in _numbers_from_truths(content, settings)]
+    if truths:
+        lines = [f"{path}: '{place}' is a truth value where a number is wanted" for place in truths]
+        raise SettingsError("\n".join(lines[:_MOST_PROBLEMS]))
+    return settings
+
+
+def _numbers_from_truths(
+    given: Any, read: Any, place: tuple[object, ...] = ()
+) -> Iterator[tuple[object, ...]]:
+    """Yield the places where ``true``, ``yes`` or the like was read as 1: pydantic takes it for a number."""
+    if isinstance(given, bool):
+        if isinstance(read, (int, float)) and not isinstance(read, bool):
+            yield place
+    elif isinstance(given, dict) and isinstance(read, BaseModel):
+        for name, field in type(read).model_fields.items():
+            key = field.alias or name
+            yield from _numbers_from_truths(given.get(key), getattr(read, name), (*place, key))
+    elif isinstance(given, dict) and isinstance(read, Mapping):
+        for key in given:
+            yield from _numbers_from_truths(given[key], read.get(key), (*place, key))
+    elif isinstance(given, list) and isinstance(read, (list, tuple)):
+        for k, (one, own) in enumerate(zip(given, read, strict=False)):
+            yield from _numbers_from_truths(one, own, (*place, k))
+
+
+def as_shown(value: object) -> str:
+    """Return a value that a message may repeat; what may hold a user name and a password is not."""
+    text = repr(value)
+    return "…" if "@" in text else _shortened(text)
 
 
 def _changed(content: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -128,7 +158,7 @@ def _explain(problem: Any, model: type[BaseModel]) -> str:
     if problem["type"] == "missing":
         return f"'{where}' is missing"
     message = problem["msg"].removeprefix("Value error, ")
-    shown = "…" if _SECRET.search(where) else _shortened(repr(problem["input"]))
+    shown = "…" if _SECRET.search(where) else as_shown(problem["input"])
     return _shortened(f"'{where}' is {shown}: {message}" if where else message, _LONGEST_LINE)
 
 

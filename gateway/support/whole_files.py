@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import tempfile
 from collections.abc import Iterator
@@ -34,7 +35,7 @@ def write_whole(path: Path, content: bytes, mode: int | None = None) -> None:
 def replacing(path: Path, mode: int | None = None) -> Iterator[Path]:
     """Give an empty file to write, which takes the place of ``path`` in the end; after an error it is gone,
     and all is as it was before. mode: as in ``write_whole``. An ``OSError`` names ``path``."""
-    path = path.resolve()  # what a link stands for is replaced, not the link
+    path = _replaceable(path)
     if mode is None:
         mode = path.stat().st_mode if path.exists() else 0o666 & ~_umask()
     prefix, made = f".{path.name}.", None
@@ -56,6 +57,25 @@ def replacing(path: Path, mode: int | None = None) -> Iterator[Path]:
             if not named or any(prefix in name for name in named):
                 raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
         raise
+
+
+@contextlib.contextmanager
+def replacing_by_name(path: Path) -> Iterator[Path]:
+    """Give a path of the same name in a folder of its own, for files that hold their name; what is written
+    there takes the place of ``path`` in the end, or is gone after an error."""
+    path = _replaceable(path)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+        made = Path(folder, path.name)
+        yield made
+        made.replace(path)
+
+
+def _replaceable(path: Path) -> Path:
+    """Return what a link stands for: that is replaced, not the link. Raises ``OSError`` for a device."""
+    path = path.resolve()
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "it is no file", str(path))
+    return path
 
 
 def _umask() -> int:

@@ -1,7 +1,7 @@
 """What stands before the page: who may come in, and from where.
 
-The page's own server asks for nothing. It listens on loopback at a port that is not published, and this gate
-passes on what may pass:
+The page's own server listens on loopback and answers this gate alone, which shows it a pass with every
+request. The gate passes on what may pass:
 
 * With a token: ``http://HOST:PORT/?token=TOKEN`` once, or ``Authorization: Bearer TOKEN``. The answer sets a
   cookie that stands for it, so that the token does not stay in the browser's address line.
@@ -36,6 +36,8 @@ MOST_CLIENTS = 64
 """Connections at one time. A browser takes up to six while it loads."""
 MOST_OF_ONE_ADDRESS = 48
 """Of those, with a request that is being answered."""
+PASS_HEADER = "X-Mocap-Gate"
+"""What the gate adds to the head of each request. The server behind it answers no request without."""
 FIRST_REQUEST_S = 3.0
 """For a request to arrive."""
 _LAST_WORDS_S = 1.0
@@ -203,14 +205,22 @@ class Gate:
     """Listens at ``host:port`` and lets through to a server on loopback. Belongs to one event loop."""
 
     def __init__(
-        self, host: str, port: int, inner_port: int, door: Door, looking_port: int | None = None
+        self,
+        host: str,
+        port: int,
+        inner_port: int,
+        door: Door,
+        looking_port: int | None = None,
+        gate_pass: AccessToken | None = None,
     ) -> None:
         """Forward to the pages behind the gate.
 
         inner_port: of the page with its buttons.
         looking_port: of the one without; None: whoever may only look is refused.
+        gate_pass: what the servers behind the gate ask for; None: they ask for nothing.
         """
         self._address = host, port
+        self._pass_line = b"" if gate_pass is None else f"{PASS_HEADER}: {gate_pass.reveal()}\r\n".encode()
         self._inner_ports = {Right.WRITE: inner_port, Right.LOOK: looking_port}
         self._door = door
         self._clients: set[asyncio.Task[None]] = set()
@@ -284,7 +294,7 @@ class Gate:
             raise Refused("403 Forbidden", "there is no page to only look at here")
         inner_reader, inner_writer = await asyncio.open_connection("127.0.0.1", inner_port)
         try:
-            inner_writer.write(head)
+            inner_writer.write(head.removesuffix(b"\r\n") + self._pass_line + b"\r\n")
             if request.is_websocket:
                 await _either(_copy(reader, inner_writer), _copy(inner_reader, writer))
             else:  # one request a connection: nothing that comes after it was looked at

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from typer.core import TyperGroup
 
 from gateway.cli.lazy_commands import load
 from gateway.cli.main import _Commands
@@ -80,7 +81,8 @@ def test_the_service_starts_without_compiler_solvers_and_emulators():
 def test_the_list_says_what_the_command_says(name):
     loaded = load(name, _Commands.lazy[name])
     assert loaded.help.split("\n\n")[0].replace("\n", " ") == _Commands.lazy[name].summary
-    assert loaded.epilog == _Commands.lazy[name].epilog
+    if not isinstance(loaded, TyperGroup):  # the list shows no example of a group, which has its own
+        assert loaded.epilog == _Commands.lazy[name].epilog
 
 
 def test_an_unknown_command_is_told_the_nearest():

@@ -15,7 +15,7 @@ from gateway.calibration.mounting import history, keep, restore
 from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.errors import GatewayError
 from gateway.support.settings_files import shipped_folder
-from gateway.support.whole_files import replacing, write_whole
+from gateway.support.whole_files import replacing, replacing_by_name, write_whole
 
 NOW = datetime(2026, 5, 1, tzinfo=UTC)
 
@@ -120,3 +120,31 @@ def test_a_secret_is_its_owners_alone_from_the_beginning(tmp_path):
         write_whole(path, content, 0o600)
         assert (path.read_bytes(), stat.S_IMODE(path.stat().st_mode)) == (content, 0o600)
         path.chmod(0o644)
+
+
+def test_a_file_that_holds_its_name_is_written_whole_or_not_at_all(tmp_path):
+    wanted = tmp_path / "walk.trc"
+    with replacing_by_name(wanted) as made:
+        made.write_text(made.name)
+        assert not wanted.exists()
+    assert wanted.read_text() == "walk.trc"
+
+    def write_a_part():
+        with replacing_by_name(wanted) as made:
+            made.write_text("a part")
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space"):
+        write_a_part()
+    assert wanted.read_text() == "walk.trc"
+    assert names(tmp_path) == ["walk.trc"]
+
+
+def test_what_is_no_file_is_not_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(OSError, match="it is no file"), replacing_by_name(pipe):
+        pass
+    with pytest.raises(OSError, match="it is no file"):
+        write_whole(pipe, b"content")
+    assert pipe.is_fifo()

@@ -291,3 +291,44 @@ def test_a_file_of_ones_own(name, tmp_path):
     base, load = WRITTEN[name]
     faults = faults_of(tmp_path / "mine.yaml", base, places_in(base), load)
     assert not faults, "\n".join(faults)
+
+
+@pytest.mark.parametrize("written", ["true", "yes", "false"])
+@pytest.mark.parametrize("setting", ["mqtt: {port: %s}", "assembly: {rate_hz: %s}", "metrics: {port: %s}"])
+def test_a_truth_value_is_no_number(setting, written, tmp_path):
+    path = tmp_path / "gateway.yaml"
+    path.write_text("rig: single\nlinks: [{name: suit, url: tcp://127.0.0.1:7000}]\n" + setting % written)
+    with pytest.raises(GatewayError, match=r"gateway\.yaml: '(mqtt|assembly|metrics)"):
+        load_gateway_settings(path)
+
+
+def test_a_truth_value_in_a_list_is_no_number(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("body: single\nmodules:\n  - {id: true, segment: body, position: [yes, 0, 0]}\n")
+    with pytest.raises(GatewayError, match=r"modules\.0\.id.*\n.*modules\.0\.position\.0"):
+        load_rig(str(path))
+
+
+@pytest.mark.parametrize(
+    ("host", "told"),
+    [
+        ("mqtt://me:hunter2@lab", "leave out what stands before the @"),
+        ("me:hunter2@lab", "leave out what stands before the @"),
+        ("mqtt://lab", "alone is wanted"),
+        ("lab:1883", "without port"),
+        ("lab hall", "alone is wanted"),
+    ],
+)
+def test_a_broker_is_a_host_alone_and_secrets_are_not_repeated(host, told, tmp_path):
+    path = tmp_path / "gateway.yaml"
+    path.write_text(yaml.safe_dump({**GATEWAY, "mqtt": {"host": host}}))
+    with pytest.raises(GatewayError, match=rf"'mqtt\.host'.*{told}") as caught:
+        load_gateway_settings(path)
+    assert "hunter2" not in str(caught.value)
+
+
+@pytest.mark.parametrize("host", ["lab", "lab.example", "my_broker", "127.0.0.1", "::1"])
+def test_a_broker_may_be_a_name_or_an_address(host, tmp_path):
+    path = tmp_path / "gateway.yaml"
+    path.write_text(yaml.safe_dump({**GATEWAY, "mqtt": {"host": host}}))
+    assert load_gateway_settings(path).mqtt.host == host

@@ -9,9 +9,12 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import pytest
+import typer
 import yaml
 
+from gateway.cli.main import app
 from tests.patience import PATIENCE_S
 from tests.typed_here import typed_here
 
@@ -90,10 +93,16 @@ def test_the_schema_describes_every_setting():
 
 
 def test_help_has_an_example_for_every_command():
-    for command in ("demo", "run", "emulate", "watch"):
-        code, out, _ = typed_here([command, "--help"])
-        assert code == 0
-        assert f"Example: mocap-gateway {command}" in out
+    def without(command, words):
+        """Yield the commands and groups below one, itself too, whose help has none."""
+        if not re.search("Examples?: mocap-gateway", f"{command.epilog} {command.help}"):
+            yield " ".join(words)
+        if isinstance(command, click.Group):
+            context = click.Context(command)
+            for name in command.list_commands(context):
+                yield from without(command.get_command(context, name), [*words, name])
+
+    assert list(without(typer.main.get_command(app), ["mocap-gateway"])) == []
 
 
 @pytest.mark.parametrize(
@@ -253,3 +262,22 @@ def test_wrong_recordings_are_one_line(tmp_path):
         assert code == 1
         assert re.search(said, err), err
         assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["modules", "list", "--rig", "single", "--link", "tcp://me:hunter2@lab:7000"],
+        ["modules", "list", "--mqtt", "me:hunter2@lab:1883"],
+        ["calibrate", "body", "--rig", "single", "--link", "tcp://me:hunter2@lab:7000"],
+        ["calibrate", "sensors", "--rig", "single", "--link", "tcp://me:hunter2@lab:7000"],
+        ["watch", "--host", "mqtt://me:hunter2@lab"],
+        ["watch", "--failover", "me:hunter2@lab:1883"],
+    ],
+)
+def test_a_password_on_the_command_line_is_refused_and_not_repeated(gateway, words):
+    code, out, told = gateway(*words)
+    assert code != 0
+    assert "hunter2" not in out + told
+    assert told.count("\n") == 1
+    assert "Traceback" not in told

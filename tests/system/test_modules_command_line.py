@@ -249,6 +249,24 @@ async def test_assign_is_tried_against_an_emulator_that_is_told_what_to_shake(tm
     assert len(emulator.output.splitlines()) == 1
 
 
+async def test_a_module_that_is_shaken_for_too_long_is_not_taken_for_the_next_segment(suit_on_port):
+    class LongShaker(Fitter):
+        def _answer(self, line):
+            if "module on the link 2" in line and line not in self.lines[:-1]:
+                self._suit.traffic.tap(0, self._suit.soon_s(0.1))  # that of link 1 again
+            else:
+                super()._answer(line)
+
+    wearers = {"link_1": 0, "link_2": 1, "link_3": 2, "link_4": 3}
+    async with suit_on_port() as (suit, modules):
+        process = modules.start("assign", "--allow-writes", "--yes")
+        fitter = LongShaker(suit, process, wearers)
+        code = await asyncio.wait_for(fitter.work(), PATIENCE_S)
+        assert code == 0, process.report()
+        assert suit.ids() == {n: n for n in range(4)}
+    assert "which is the one on the link 1: hold it still" in "\n".join(fitter.lines)
+
+
 async def test_assign_with_skip_undo_and_redo(suit_on_port):
     wearers = {"link_1": 0, "link_2": 1, "link_3": 2, "link_4": 3}
     async with suit_on_port(stored_ids={0: 1, 1: 0}) as (suit, modules):

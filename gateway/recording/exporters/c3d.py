@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +12,16 @@ from gateway.frames import FloatArray
 from gateway.recording.exporters.take import Take, markers_of, rotation
 from gateway.support.extras import require_package
 
+_BLOCK_BYTES = 512
+_POINT_BYTES = 4 * 4
+"""x, y, z and the residual."""
+_ROTATION_BYTES = 17 * 4
+"""A 4 × 4 matrix and how reliable it is."""
 _UNITS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
-    """Write a take as C3D. Raises ``GatewayError`` without the extra ``export``.
+    """Write a take as C3D. Raises ``GatewayError`` without the extra ``export``, ``OSError``.
 
     Points are ``<segment>``, ``<segment>_tip``, one a joint in degrees (listed in POINT:ANGLES), and the
     markers that the poses were made from, with their distances from the body as residuals (negative: not
@@ -48,6 +55,15 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     file["data"]["rotations"] = _matrices(take, units_per_m)
     file["data"]["analogs"] = np.zeros((1, 0, len(points)))
     file.write(str(path))
+    _refuse_a_part(path, len(points) * (points.shape[1] * _POINT_BYTES + len(segments) * _ROTATION_BYTES))
+
+
+def _refuse_a_part(path: Path, data_bytes: int) -> None:
+    """Raise ``OSError`` for a file without all its data: the library says nothing of a disk that is full."""
+    with path.open("rb") as file:
+        first_block = int.from_bytes(file.read(18)[16:], "little")
+    if path.stat().st_size < max(first_block - 1, 0) * _BLOCK_BYTES + data_bytes:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 
 def _homogeneous(points: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from devices.deferred import Deferred
 from gateway.errors import GatewayError
 from gateway.recording.exporters.axes import Axes
 from gateway.support.extras import require_package
+from gateway.support.whole_files import replacing_by_name, writing
 
 if TYPE_CHECKING:
     from gateway.recording.exporters.take import Take
@@ -45,10 +46,14 @@ class Format:
             )
 
     def write(self, take: Take, path: Path, units_per_m: float) -> None:
-        """Write a file. Raises as ``check`` does, ``GatewayError`` for a take that the format cannot hold,
-        and ``OSError``."""
+        """Write a file, whole or not at all.
+
+        Raises as ``check`` does, and ``GatewayError`` for a take that the format cannot hold and for a file
+        that cannot be written.
+        """
         self.check(take.axes, units_per_m)
-        self.writer(take, path, units_per_m)
+        with writing(path), replacing_by_name(path) as made:
+            self.writer(take, made, units_per_m)
 
 
 def _writer(name: str) -> Deferred:

@@ -3,12 +3,15 @@ magnetometer."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from devices.emulators.recordings import play
 from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
 from devices.vendor_formats.gaps import index_of_times, rate_of
+from devices.vendor_formats.labels import labels_of
 from devices.vendor_formats.sheets import FormatError
 from firmware_protocol import FrameDecoder, InertialSampleFine, PacketDecoder
 
@@ -118,3 +121,41 @@ def test_units_that_cannot_be_right_are_doubted(tmp_path):
     (note,) = read(tmp_path, [f"{k * 0.01:.2f},0,0,9.81,90,0,0,0.3,0,-0.9" for k in range(60)]).notes
     assert "the angular rate of 'pelvis' is usually 90 rad/s: is its unit 'rad/s'?" in note
     assert not read(tmp_path, rows_of(60)).notes
+
+
+def test_a_line_of_units_below_the_names_is_passed_over_and_noted(tmp_path):
+    rows = rows_of(20)
+    found = read(tmp_path, ["s,m/(s^2),m/(s^2),m/(s^2),deg/s,deg/s,deg/s,local,local,local", *rows])
+    assert len(found.modules[0].times) == 20
+    assert "line 2: holds no number" in found.notes[0]
+    with pytest.raises(FormatError, match=r"line 5, column 'ax'"):
+        read(tmp_path, [HEAD, *rows[:2], rows[2].replace(",0,", ",x,", 1)])
+
+
+@pytest.mark.parametrize("time", ["2021-03-01 10:11:05.01", "10:11:05.01"])
+def test_times_of_a_clock_are_refused_with_what_to_do(time, tmp_path):
+    rows = [f"{time},{row.partition(',')[2]}" for row in rows_of(5)]
+    with pytest.raises(FormatError, match=r"line 2, column 't': times are numbers of s.*rate_hz"):
+        read(tmp_path, rows)
+
+
+def test_thousandths_of_gravity(tmp_path):
+    module = {**MODULE, "specific_force": {"columns": ["ax", "ay", "az"], "unit": "mg"}}
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([HEAD, *(row.replace("9.81", "1000") for row in rows_of(5))]))
+    columns = ColumnMap.model_validate({"time": {"column": "t"}, "modules": [module]})
+    force = read_mapped_csv(path, columns, tmp_path).modules[0].specific_force
+    np.testing.assert_allclose(force, np.tile([0, 0, 9.80665], (5, 1)))
+
+
+@pytest.mark.parametrize(
+    ("stems", "labels"),
+    [
+        (("left thigh", "left shank"), ["left thigh", "left shank"]),
+        (("walk_left_thigh", "walk_left_shank"), ["left_thigh", "left_shank"]),
+        (("walk_pelvis", "walk_thorax"), ["pelvis", "thorax"]),
+        (("MT-001_00B4", "MT-001_00B5"), ["00B4", "00B5"]),
+    ],
+)
+def test_names_of_files_keep_the_side_that_they_share(stems, labels):
+    assert labels_of([Path(f"{stem}.csv") for stem in stems]) == labels

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -153,6 +155,13 @@ def test_movella_dot_units_tags_loss_and_wrapping_stamps(tmp_path):
     np.testing.assert_allclose(track.angular_rate[0], [np.pi, 0, -np.pi / 2])
     assert np.isnan(track.specific_force[:, 0]).sum() == 2
     np.testing.assert_allclose(np.diff(track.times), 0.016667, atol=1e-9)
+
+
+def test_modules_that_nobody_has_named_are_called_as_their_files_are(tmp_path):
+    text = re.sub("DeviceTag:.*", "DeviceTag:,Xsens DOT", movella(0, range(9)))
+    assert "Xsens DOT" in text
+    paths = [write(tmp_path / f"{name}.csv", text) for name in ("left_thigh", "left_shank")]
+    assert [track.name for track in read_movella_dot(paths).modules] == ["left_thigh", "left_shank"]
 
 
 def test_unsynchronised_modules_are_refused_or_begin_together(tmp_path):

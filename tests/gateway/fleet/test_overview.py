@@ -22,6 +22,8 @@ from gateway.fleet.page import Bodies, OverviewServer
 from gateway.outputs.connection import broker_connection, unique_identifier
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import MqttSettings
+from gateway.support.credentials import AccessToken
+from gateway.viewer.gate import Door, Gate
 from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -252,10 +254,17 @@ async def test_the_page_keeps_its_rows_and_fits_the_window(chromium: str, width:
     heard.online("lab")
     heard.online("ward")
     heard.say("ward/bridge/state", b'{"state":"offline"}')
-    server = OverviewServer(lambda: as_plain(heard.fleet.rows(heard.now_s)), Bodies(MqttSettings()))
-    async with server, shown_page.browser_of(chromium) as browser:
+    gate_pass = AccessToken("the-pass-of-this-test")
+    server = OverviewServer(
+        lambda: as_plain(heard.fleet.rows(heard.now_s)), Bodies(MqttSettings()), gate_pass
+    )
+    async with (
+        server,
+        Gate("127.0.0.1", 0, server.port, Door(None), gate_pass=gate_pass) as gate,
+        shown_page.browser_of(chromium) as browser,
+    ):
         page = await shown_page.new_page(browser, (width, 800))
-        await page.goto(f"http://127.0.0.1:{server.port}")
+        await page.goto(f"http://127.0.0.1:{gate.port}")
         await page.get_by_text("2 gateways, 1 online, 2 with alerts").wait_for()
         await page.get_by_text("<b>Anna</b>").wait_for()
         await page.get_by_role("link", name="ward").focus()

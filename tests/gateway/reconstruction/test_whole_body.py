@@ -349,3 +349,36 @@ def test_modules_without_gyroscopes_are_not_called_stuck(suit, walked):
     for frame in frames[300:360]:
         reconstructor.update(replace(frame, angular_rate=np.full_like(frame.angular_rate, np.nan)))
     assert finder.observation.status.max() == Status.MEASURED
+
+
+def test_a_magnetometer_that_repeats_itself_in_a_turn_is_left_out_and_named(suit, walked):
+    state, frames = walked
+    finder = Seen(state)
+    reconstructor = WholeBodyReconstructor(suit, finder)
+    used, named = [], []
+    for k, frame in enumerate(frames[300:800]):
+        field = frame.magnetic_field.copy()
+        if k < 400:
+            field[4] = (10.0, 20.0, 30.0)
+        reconstructor.update(replace(frame, magnetic_field=field))
+        used.append(np.isfinite(finder.observation.magnetic_field).all(axis=1))
+        named.append(set(reconstructor.doubts()))
+        assert finder.observation.status[4] == Status.MEASURED
+    used = np.array(used)
+    assert np.delete(used, 4, axis=1).all()
+    assert used[:200, 4].all()  # no slow magnetometer is taken for it
+    assert not used[300:400, 4].any()
+    assert used[401:, 4].all()
+    assert suit.module_ids[4] in named[399]
+    assert suit.module_ids[4] not in named[-1]
+
+
+def test_a_magnetometer_at_rest_may_repeat_itself(suit, walked):
+    state, frames = walked
+    finder = Seen(state)
+    reconstructor = WholeBodyReconstructor(suit, finder)
+    rng = np.random.default_rng(2)
+    for k in range(600):
+        noise = rng.normal(scale=0.01, size=frames[0].angular_rate.shape)
+        reconstructor.update(replace(frames[0], time_ns=k * 10_000_000, angular_rate=noise))
+    assert np.isfinite(finder.observation.magnetic_field).all()

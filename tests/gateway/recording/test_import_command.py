@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from devices.vendor_formats.sheets import FormatError
 from gateway.body.joint_angles import joint_angles
 from gateway.errors import GatewayError
+from gateway.imports.formats import ReadOptions, read
 from gateway.imports.segment_names import mapped_segments, segment_of
 from gateway.recording import open_recording
 from gateway.recording.difference import difference
@@ -116,6 +117,27 @@ def test_nothing_that_is_no_recording_is_taken_for_one(typed, tmp_path):
     path.write_text("a,b,c\n1,2,3\n")
     with pytest.raises(GatewayError, match=r"--columns MAP\.yaml"):
         typed("import", path)
+
+
+@pytest.mark.parametrize(("peak_rate", "is_left_out"), [(2.0, True), (0.0, False)])
+def test_a_magnetometer_that_repeats_itself_in_motion_is_left_out_and_named(
+    tmp_path, peak_rate: float, is_left_out: bool
+):
+    t = np.arange(0.0, 10.0, 0.01)
+    rate = np.column_stack([peak_rate * np.sin(t), 0.1 * np.cos(t), 0.0 * t])
+    force, field = np.tile([0.0, 0.0, 9.81], (len(t), 1)), np.tile([10.0, 20.0, 30.0], (len(t), 1))
+    rows = np.column_stack([t, force, rate, field])
+    np.savetxt(tmp_path / "arm.csv", rows, delimiter=",", header="t,ax,ay,az,gx,gy,gz,mx,my,mz", comments="")
+    parts = (("specific_force", "a"), ("angular_rate", "g"), ("magnetic_field", "m"))
+    lines = [f"    {part}: {{columns: [{axis}x, {axis}y, {axis}z]}}" for part, axis in parts]
+    (tmp_path / "columns.yaml").write_text(
+        "\n".join(["time: {column: t, unit: s}", "modules:", "  - name: right_forearm", *lines])
+    )
+    options = ReadOptions(columns=tmp_path / "columns.yaml")
+    recording = read([tmp_path / "arm.csv"], "csv", options)
+    (track,) = recording.modules
+    assert np.isnan(track.magnetic_field).all() == is_left_out
+    assert ("the magnetometer of right_forearm" in "".join(recording.notes)) == is_left_out
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
+import resource
+import signal
 import struct
 from dataclasses import replace
 
@@ -360,3 +363,28 @@ def test_the_rate_of_whole_nanoseconds_is_exact(rate_hz):
     assert found == pytest.approx(rate_hz, rel=3e-7)
     if rate_hz == round(rate_hz, 5):
         assert found == rate_hz
+
+
+@contextlib.contextmanager
+def largest_file(size: int):
+    """Writing beyond so many bytes fails, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.mark.parametrize("name", sorted(FORMATS))
+def test_a_file_that_cannot_be_written_whole_is_not_there(tmp_path, name):
+    if FORMATS[name].package:
+        pytest.importorskip(FORMATS[name].package, reason="the extra 'export' is not installed")
+    _, path = exported(name, tmp_path)
+    whole = path.read_bytes()
+    path.unlink()
+    with largest_file(len(whole) // 2), pytest.raises(GatewayError, match=f"{path.name} cannot be written"):
+        exported(name, tmp_path)
+    assert list(tmp_path.iterdir()) == []
