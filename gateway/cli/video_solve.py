@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -24,8 +24,6 @@ from gateway.cli.options import AsJson, ReplaceFiles, refuse_existing, with_opti
 from gateway.cli.terminal import progress_bar
 from gateway.cli.video import (
     Cameras,
-    Join,
-    People,
     Pictures,
     Places,
     joined_of,
@@ -56,8 +54,37 @@ class Capture(NamedTuple):
     rate_hz: float
 
 
-@with_options(Pictures)
+@dataclass(frozen=True)
+class Choice:
+    """The options that say who and what of the pictures is taken."""
+
+    people: Annotated[
+        str,
+        typer.Option(
+            metavar="N|all", help="People to follow, one recording each; all: whom two cameras see."
+        ),
+    ] = "1"
+    join: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CAMERA+CAMERA",
+            help="Two cameras side by side, put together where somebody is partly in either picture.",
+        ),
+    ] = None
+    synchronise: Annotated[
+        bool, typer.Option("--synchronise", help="Shift cameras that are out of step by what is found.")
+    ] = False
+    frames: Annotated[int | None, typer.Option(min=1, help="Instants to take; a live camera needs it.")] = (
+        None
+    )
+    unequal: Annotated[
+        bool, typer.Option("--unequal", help="Take the common pictures of files that differ in length.")
+    ] = False
+
+
+@with_options(Choice, Pictures)
 def solve(
+    choice: Choice,
     pictures: Pictures,
     files: Places,
     cameras: Cameras,
@@ -82,17 +109,6 @@ def solve(
         Path | None,
         typer.Option(help="Write the person and the cameras into a file: a gateway's rig, or --subject."),
     ] = None,
-    people: People = "1",
-    join: Join = None,
-    synchronise: Annotated[
-        bool, typer.Option("--synchronise", help="Shift cameras that are out of step by what is found.")
-    ] = False,
-    frames: Annotated[
-        int | None, typer.Option(min=1, help="Instants to take; a live camera needs it.")
-    ] = None,
-    unequal: Annotated[
-        bool, typer.Option("--unequal", help="Take the common pictures of files that differ in length.")
-    ] = False,
     force: ReplaceFiles = False,
     as_json: AsJson = False,
 ) -> None:
@@ -104,27 +120,17 @@ def solve(
     """
     from gateway.body.rig import load_rig
     from gateway.cameras.consistency import consistency_of
-    from gateway.cameras.rig_of_cameras import RigOptions
     from gateway.recording.video import video_suit
 
-    wanted = people_of(people)
+    wanted = people_of(choice.people)
     if subject is not None and wanted != 1:
         raise GatewayError(
             "--subject is one person's, --people of more measures everybody: leave one of them out"
         )
     target = _target(files, output, to or [])
     _places(target, wanted or 1, force=force)
-    if _are_keypoints(files):
-        if join:
-            raise GatewayError("--join puts pictures together: keypoints of other programs have none")
-        capture = _imported(files, cameras, pictures, wanted, frames)
-    else:
-        require_video_extra()
-        seen, tasks = matched(files, cameras, pictures)
-        video = VideoSetUp(seen, pictures.network, joined_of(join or [], seen))
-        options = RigOptions(not unequal, wanted or MOST_PEOPLE)
-        capture = Capture(video, *looked_at(video, tasks, frames, options, is_shown=not as_json))
-    people_seen = _sorted_out(capture, wanted, synchronise=synchronise)
+    capture = _captured(files, cameras, pictures, choice, is_shown=not as_json)
+    people_seen = _sorted_out(capture, wanted, synchronise=choice.synchronise)
     known = None if subject is None else load_rig(str(subject))
     outcomes = []
     for messages, place, person in _people(people_seen, target, fit_subject, force=force):
@@ -142,6 +148,24 @@ def solve(
             export(place, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
     if as_json:
         typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
+
+
+def _captured(
+    files: Sequence[str], calibration: Path, pictures: Pictures, choice: Choice, *, is_shown: bool
+) -> Capture:
+    """Return what the cameras saw, by our own network or by another program."""
+    from gateway.cameras.rig_of_cameras import RigOptions
+
+    wanted = people_of(choice.people)
+    if _are_keypoints(files):
+        if choice.join:
+            raise GatewayError("--join puts pictures together: keypoints of other programs have none")
+        return _imported(files, calibration, pictures, wanted, choice.frames)
+    require_video_extra()
+    cameras, tasks = matched(files, calibration, pictures)
+    video = VideoSetUp(cameras, pictures.network, joined_of(choice.join or [], cameras))
+    options = RigOptions(not choice.unequal, wanted or MOST_PEOPLE)
+    return Capture(video, *looked_at(video, tasks, choice.frames, options, is_shown=is_shown))
 
 
 def _sorted_out(capture: Capture, wanted: int | None, *, synchronise: bool) -> Sequence[Instants]:
