@@ -77,7 +77,7 @@ class Consistency:
             raise GatewayError(
                 f"{calibration} does not fit these pictures: rays through the same keypoint pass each other "
                 f"at {1e3 * min(self.apart.values()):.0f} to {1e3 * far:.0f} mm (camera '{name}'): is it of "
-                "these cameras, in this order?"
+                "these cameras, in this order, for pictures of this size?"
             )
         wrong = [name for name, far in self.apart.items() if far > FAR_APART and len(self.apart) > 2]
         if wrong:

@@ -18,6 +18,7 @@ from devices.cameras.keypoint_files import is_keypoints
 from gateway.body.camera import Camera
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.calibration.cameras_file import axis_of, load_cameras
+from gateway.calibration.picture_size import SizeChange
 from gateway.cameras.camera_process import CameraTask
 from gateway.cli.export import export
 from gateway.cli.options import AsJson, ReplaceFiles, refuse_existing, with_options
@@ -43,6 +44,10 @@ if TYPE_CHECKING:
     from gateway.cameras.filmed_people import Instants
     from gateway.cameras.rig_of_cameras import RigOptions
     from gateway.recording.video import SolvedVideo
+
+
+_TABLES = (".csv", ".h5", ".slp", ".pkl", ".npz")
+"""What DeepLabCut, SLEAP and others write keypoints into, under names of the user's own."""
 
 
 class Capture(NamedTuple):
@@ -116,7 +121,7 @@ def solve(
     like any other.
 
     In the place of videos, keypoints that another program found: a folder of JSON a camera (OpenPose,
-    RTMPose of Pose2Sim), or COCO's results; with --rate.
+    RTMPose of Pose2Sim), or one file a camera of AlphaPose, MMPose or COCO's results; with --rate.
     """
     from gateway.body.rig import load_rig
     from gateway.cameras.consistency import consistency_of
@@ -180,6 +185,12 @@ def _are_keypoints(files: Sequence[str]) -> bool:
     """Return whether keypoints of another program are given in the place of pictures. Raises
     ``GatewayError`` where some are and some are not."""
     places = [each.rpartition("=")[2] for each in files]
+    for place in places:
+        if Path(place).suffix.lower() in _TABLES:
+            raise GatewayError(
+                f"{place}: keypoints are read as JSON of OpenPose's, COCO's or MMPose's kind: convert them "
+                "(Pose2Sim's DLC_H5_to_OpenPose does DeepLabCut's), or give the films"
+            )
     others = [place for place in places if not is_keypoints(place)]
     if others and len(others) < len(places):
         raise GatewayError(
@@ -210,6 +221,11 @@ def _imported(
     if pictures.rate is None:
         raise GatewayError(
             "keypoints do not tell when pictures were taken: say how many a second with --rate"
+        )
+    if pictures.sizes is not SizeChange.NONE:
+        raise GatewayError(
+            f"--sizes {pictures.sizes}: keypoints do not tell the size of their pictures: give a calibration "
+            "for pictures of that size"
         )
     axis = None if pictures.up is None else axis_of(pictures.up)
     known = {camera.name: camera for camera in load_cameras(calibration, axis, pictures.unit)}
