@@ -49,7 +49,9 @@ Places = Annotated[
 ]
 Cameras = Annotated[
     Path,
-    typer.Option("--cameras", help="Calibration: of `calibrate cameras`, .qca.txt, .toml, .yml or .xml."),
+    typer.Option(
+        "--cameras", help="Calibration: of `calibrate cameras`, Qualisys, Pose2Sim, anipose or OpenCV."
+    ),
 ]
 Network = Annotated[str, typer.Option(help="Pose network: full, lite, heavy or openpose.")]
 Offset = Annotated[
@@ -73,7 +75,7 @@ class Pictures:
         str | None, typer.Option(help=f"Axis of the calibration that points up: {', '.join(AXES)}.")
     ] = None
     unit: Annotated[
-        str, typer.Option(help="Unit of lengths in .toml, .yml and .xml calibrations: m, cm or mm.")
+        str, typer.Option(help="Unit of lengths in calibrations in TOML and of OpenCV: m, cm or mm.")
     ] = "m"
 
 
