@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import viser
 
 from devices.link import gateway_time_ns
 from gateway.contract.messages import BodyMessage
-from gateway.outputs.subscriber import ReceivedPose
+from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.viewer.pose_table import STALE_AFTER_S
 from gateway.viewer.posture import PostureKeeper, skeleton_of
 from gateway.viewer.scene import BodyScene
@@ -61,7 +61,7 @@ class Companions:
         shown = {
             name: each
             for name, each in self._latest.items()
-            if name != beside and name in bodies and _room_of(name) == _room_of(beside)
+            if name != beside and name in bodies and room_of(name) == room_of(beside)
         }
         for name, companion in list(self._drawn.items()):
             if name not in shown or companion.body != bodies[name]:
@@ -73,7 +73,16 @@ class Companions:
             self._drawn[name].draw(received)
 
 
-def _room_of(gateway: str) -> str | None:
+def people_of(poses: PoseSubscriber, gateway: str) -> Sequence[object] | None:
+    """Return the numbers of the people before the cameras of a gateway, or of somebody's gateway; None: it
+    follows no people."""
+    health = poses.healths.get(room_of(gateway) or gateway)
+    people = None if health is None else health.statistics.get("people")
+    present = people.get("present") if isinstance(people, Mapping) else None
+    return present if isinstance(present, list) else None
+
+
+def room_of(gateway: str) -> str | None:
     """Return the name that people before the same cameras share; None for one who is not numbered."""
     found = _NUMBERED.fullmatch(gateway)
     return found[1] if found else None
