@@ -34,7 +34,7 @@ from gateway.reconstruction.video.networks.weights import keypoint_set_of
 from gateway.reconstruction.video.proportions import standard_lengths
 from gateway.reconstruction.video.reconstructor import VideoReconstructor, worn_person
 from gateway.reconstruction.video.region import peaks
-from gateway.sources.heat_maps import Instant, Instants, heat_maps_of
+from gateway.sources.heat_maps import Instant, Instants, KnownCameras, heat_maps_of
 
 AHEAD = 2
 """Pictures from a pose to those that its orders are for: while the pose of one instant is found, the cameras
@@ -135,7 +135,7 @@ class LiveCrowd:
         """Begin with nobody. most: people that are tracked at once, those on trial too."""
         self._video, self._most = video, most
         self._cameras: Sequence[Camera] = video.cameras
-        self._row = {camera.name: row for row, camera in enumerate(video.cameras)}
+        self._known = KnownCameras(video)
         keypoints = load_keypoint_set(keypoint_set_of(video.network))
         self._names = keypoints.names
         self._crowd = VideoCrowd(video.cameras, keypoints, 0)
@@ -162,13 +162,13 @@ class LiveCrowd:
         """Yield the instants that a chunk completes."""
         receiver = self._receivers.setdefault(chunk.link, HeatMapReceiver())
         for message in receiver.receive(chunk.data):
-            row = self._row.get(message.camera)
-            if row is None:
-                self.counts.refused["unknown_camera"] += 1
-            elif message.network != self._video.network:
-                self.counts.refused["other_network"] += 1
-            elif not self._instants.add(row, message, chunk.arrived_ns):
-                self.counts.refused["too_late"] += 1
+            reason = self._known.refuse(message, chunk.link)
+            if reason is None and not self._instants.add(
+                self._known.rows[message.camera], message, chunk.arrived_ns
+            ):
+                reason = "too_late"
+            if reason is not None:
+                self.counts.refused[reason] += 1
             for instant in self._instants.complete():
                 yield self._advanced(instant)
 
