@@ -64,7 +64,7 @@ def side_by_side(pictures: Sequence[Picture], names: Sequence[str], height: int,
     row = []
     for picture, name in zip(pictures, names, strict=True):
         width = max(round(picture.shape[1] * height / picture.shape[0]), 1)
-        small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+        small: Picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA).astype(np.uint8)
         _write(small, name, _LINE)
         row.append(small)
     joined = np.concatenate(row, axis=1)
