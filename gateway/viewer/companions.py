@@ -17,6 +17,8 @@ from gateway.viewer.stage import Stage
 
 _NUMBERED = re.compile(r"(.+)_(\d+)")
 MOST = 8
+_ABOVE_M = 0.3
+"""Of a name over the highest joint, which is the head's lower end where somebody stands."""
 
 
 class _Companion:
@@ -26,18 +28,28 @@ class _Companion:
         skeleton = skeleton_of(body)
         self.body = body
         self.drawn: ReceivedPose | None = None
+        self._stage = stage
         self._keeper = PostureKeeper(skeleton)
         self._scene = BodyScene(server, stage, skeleton, root=f"/companions/{name}")
-        self.remove = self._scene.remove
+        self._label = server.scene.add_label(f"/companions/{name}/name", name, anchor="bottom-center")
+
+    def remove(self) -> None:
+        """Take it off the page."""
+        self._scene.remove()
+        self._label.remove()
 
     def draw(self, received: ReceivedPose) -> None:
         """Bring it to a pose, every time: its place on the page depends on the page's middle too."""
         self.drawn = received
-        self._scene.draw(self._keeper.take(received.pose), is_stale=False)
+        posture = self._keeper.take(received.pose)
+        self._scene.draw(posture, is_stale=False)
+        p_w = posture.p_w - self._stage.middle
+        x, y, _ = p_w.mean(axis=0)
+        self._label.position = (x, y, p_w[:, 2].max() + _ABOVE_M)
 
 
 class Companions:
-    """A body for each person who gives poses: ``lab_2`` and ``lab_3`` beside ``lab_1``."""
+    """A body, below its name, for each person who gives poses: ``lab_2`` and ``lab_3`` beside ``lab_1``."""
 
     def __init__(self, server: viser.ViserServer, stage: Stage) -> None:
         self._server, self._stage = server, stage

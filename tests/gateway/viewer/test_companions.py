@@ -55,6 +55,9 @@ def test_those_of_the_same_room_are_drawn_and_leave_with_their_poses():
         scene = companions._drawn["lab_2"]._scene
         places = scene._figure._limbs.batched_positions
         assert np.abs(np.median(places[:, 0]) - 1.0) < 0.2
+        label = server.scene._handle_from_node_name["/companions/lab_2/name"]
+        assert label.text == "lab_2"
+        assert places[:, 2].max() < label.position[2] < places[:, 2].max() + 0.5
         draw("lab_1", {name: body for name, body in bodies.items() if name != "lab_2"})
         assert shown(companions) == ["lab_3"]
         draw("lab", bodies)
