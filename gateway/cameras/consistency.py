@@ -99,6 +99,17 @@ def in_step(messages: Sequence[Sequence[bytes]], skipped: Sequence[int]) -> list
     ]
 
 
+def views(messages: Sequence[Sequence[bytes]]) -> int:
+    """Return in how many pictures of all cameras somebody is seen."""
+    receiver = HeatMapReceiver()
+    return sum(
+        each.likelihood is not None
+        for instant in messages
+        for message in instant
+        for each in receiver.receive(message)
+    )
+
+
 def _offset(offset: int) -> str:
     n = abs(offset)
     return f"{n} picture{'s' if n > 1 else ''} {'behind' if offset > 0 else 'ahead of'}"

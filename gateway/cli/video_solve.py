@@ -124,7 +124,6 @@ def solve(
     RTMPose of Pose2Sim), or one file a camera of AlphaPose, MMPose or COCO's results; with --rate.
     """
     from gateway.body.rig import load_rig
-    from gateway.cameras.consistency import consistency_of
     from gateway.recording.video import video_suit
 
     wanted = people_of(choice.people)
@@ -135,12 +134,11 @@ def solve(
     target = _target(files, output, to or [])
     _places(target, wanted or 1, force=force)
     capture = _captured(files, cameras, pictures, choice, is_shown=not as_json)
-    people_seen = _sorted_out(capture, wanted, synchronise=choice.synchronise)
+    people_seen, checks = _sorted_out(capture, choice, cameras)
     known = None if subject is None else load_rig(str(subject))
     outcomes = []
-    for messages, place, person in _people(people_seen, target, fit_subject, force=force):
-        checked = consistency_of(capture.video.cameras, messages)
-        checked.refuse_wrong(cameras)
+    places = _people(people_seen, target, fit_subject, force=force)
+    for (messages, place, person), checked in zip(places, checks, strict=True):
         suit = video_suit(capture.video.cameras, capture.video.network, messages, known)
         suit = replace(suit, video=capture.video)
         if person is not None:
@@ -173,12 +171,27 @@ def _captured(
     return Capture(video, *looked_at(video, tasks, choice.frames, options, is_shown=is_shown))
 
 
-def _sorted_out(capture: Capture, wanted: int | None, *, synchronise: bool) -> Sequence[Instants]:
-    """Return the people of a capture, with the cameras brought into step where that is asked."""
-    _report_how_many(len(capture.people), wanted)
-    if len(capture.video.cameras) < 2:
+def _sorted_out(
+    capture: Capture, choice: Choice, calibration: Path
+) -> tuple[Sequence[Instants], list[Consistency]]:
+    """Return the people of a capture, with the cameras brought into step where that is asked, and how well
+    the cameras agree upon each.
+
+    Whoever is seen the most tells whether the calibration is right and the cameras are in step, for all:
+    somebody who is half hidden may seem to tell otherwise. Raises ``GatewayError`` where they are not.
+    """
+    from gateway.cameras.consistency import consistency_of, views
+
+    people, cameras = capture.people, capture.video.cameras
+    _report_how_many(len(people), people_of(choice.people))
+    if len(cameras) < 2:
         typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
-    return _in_step(capture.video.cameras, capture.people) if synchronise else capture.people
+    clearest = max(range(len(people)), key=lambda k: views(people[k]))
+    if choice.synchronise:
+        people = _in_step(cameras, people, clearest)
+    checks = [consistency_of(cameras, messages) for messages in people]
+    checks[clearest].refuse_wrong(calibration)
+    return people, checks
 
 
 def _are_keypoints(files: Sequence[str]) -> bool:
@@ -199,11 +212,11 @@ def _are_keypoints(files: Sequence[str]) -> bool:
     return not others
 
 
-def _in_step(cameras: Sequence[Camera], captured: Sequence[Instants]) -> list[Instants]:
-    """Leave pictures out at the start of cameras that began earlier, as the first person tells, for all."""
+def _in_step(cameras: Sequence[Camera], captured: Sequence[Instants], clearest: int) -> list[Instants]:
+    """Leave pictures out at the start of cameras that began earlier, as one person tells, for all."""
     from gateway.cameras.consistency import consistency_of, in_step
 
-    checked = consistency_of(cameras, captured[0])
+    checked = consistency_of(cameras, captured[clearest])
     if not checked.offsets:
         return list(captured)
     listed = ", ".join(f"{name} {late}" for name, late in zip(checked.names, checked.skipped, strict=True))
