@@ -40,7 +40,7 @@ AHEAD = 2
 """Pictures from a pose to those that its orders are for: while the pose of one instant is found, the cameras
 look at the next one, and what comes out does not depend on who is faster."""
 _TRIAL = 40
-"""Instants after which somebody who has not entered is given up."""
+"""Instants in which somebody must enter, or be given up."""
 _LEAST_TRIAL = 0.5
 """Share of the instants of the trial in which somebody must be there."""
 _LEAST_SEEN = 0.3
@@ -268,7 +268,7 @@ class LiveCrowd:
             if index in self._crowd.same_as
             or (each.number is not None and each.absent >= _ABSENT)
             or (each.number is not None and tracker.pose is None)
-            or (each.number is None and each.instants >= _TRIAL)
+            or (each.number is None and each.instants - each.there > (1.0 - _LEAST_TRIAL) * _TRIAL)
         ]
         left = []
         for index in reversed(gone):
