@@ -36,7 +36,8 @@ going on as it went over all of them leads cameras astray."""
 _MEMORY = 30
 """Instants over which the share of keypoints that were lost is averaged."""
 _SURER = 0.1
-"""By which that share must be smaller for a person to be kept in the place of an earlier one."""
+"""By which that share must be smaller to count: for a person to be kept in the place of an earlier one, or
+the crowd's own tracker in the place of the solver's."""
 
 
 @dataclass
@@ -52,18 +53,21 @@ class _Followed:
     """Share of the keypoints, averaged."""
 
     def follow(self, frame: HeatMapFrame) -> None:
-        """Track the person in one more instant, unless the solver knows them, and has been up to date."""
+        """Track the person in one more instant, unless the solver does."""
         self.sequence = frame.sequence
         solver = self.solver
-        if solver is not None and solver.tracker.pose is not None and self._is_up_to_date(solver):
-            self.tracker = solver.tracker
-        else:
+        if solver is None or self.tracker is not solver.tracker:
             self.tracker.track(frame.cameras)
+            if solver is not None and self._is_as_good(solver):
+                self.tracker = solver.tracker
         self.lost += (self.tracker.lost - self.lost) / _MEMORY
 
-    def _is_up_to_date(self, solver: VideoReconstructor) -> bool:
-        """Return whether a solver has come near the last instant once: at its start, others wait for it."""
-        return self.tracker is solver.tracker or self.sequence - solver.sequence <= _UP_TO_DATE
+    def _is_as_good(self, solver: VideoReconstructor) -> bool:
+        """Return whether a solver, which has begun by itself, has come near the last instant and shows as
+        much of the person."""
+        tracker = solver.tracker
+        is_up_to_date = self.sequence - solver.sequence <= _UP_TO_DATE
+        return tracker.pose is not None and is_up_to_date and tracker.lost < self.tracker.lost + _SURER
 
     def expected_after(self, instants: int) -> FloatArray | None:
         """Return (n_keypoints, 3) m, so many instants after the last one; None: not known."""

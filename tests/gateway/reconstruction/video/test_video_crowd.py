@@ -48,18 +48,23 @@ def test_only_whom_cameras_show_takes_something_out_of_others_maps(is_shown):
     assert same == [not is_shown] * len(CAMERAS)
 
 
-def test_a_solver_is_taken_once_it_is_up_to_date():
-    own, places = Tracker(np.zeros((33, 3))), np.ones((33, 3))
-    solver = SimpleNamespace(tracker=Tracker(places), sequence=-1)
+def test_a_solver_is_taken_once_it_is_up_to_date_and_sees_as_much():
+    own = Tracker(np.zeros((33, 3)))
+    solver = SimpleNamespace(tracker=Tracker(np.ones((33, 3)), lost=0.5), sequence=10)
     person = _Followed(own, solver)
-    for sequence in range(20, 30):
+
+    def follow(sequence):
         person.follow(HeatMapFrame(sequence, 0, ()))
-        solver.sequence = 10  # its service starts, and the instants wait
-    assert person.tracker is own
-    assert own.tracked == 10
-    solver.sequence = 29
-    person.follow(HeatMapFrame(30, 0, ()))
-    assert person.tracker is solver.tracker
-    person.follow(HeatMapFrame(40, 0, ()))
-    assert person.tracker is solver.tracker
-    assert own.tracked == 10
+        return person.tracker is solver.tracker
+
+    solver.tracker.lost = 0.0
+    assert not any(follow(sequence) for sequence in range(20, 30))  # its service starts, and instants wait
+    solver.sequence, solver.tracker.lost = 29, 0.5
+    assert not follow(30)
+    solver.tracker.lost, solver.tracker.pose = 0.0, None
+    assert not follow(31)
+    assert own.tracked == 12
+    solver.tracker.pose = "known"
+    assert follow(31)
+    assert follow(40)
+    assert (own.tracked, solver.tracker.tracked) == (13, 0)
