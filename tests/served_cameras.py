@@ -45,7 +45,7 @@ class Scene:
         assert maps is not None
         return maps
 
-    def people(self, people: FloatArray, window: PersonRegion | None = None) -> list[Person]:
+    def people(self, people: FloatArray) -> list[Person]:
         """Return whoever is in the picture."""
         found = []
         for points in people:
@@ -63,17 +63,17 @@ class Scene:
         """Return whoever is in the picture."""
         return self.people(people)[:most]
 
-    def windows(self, people: FloatArray) -> list[PersonRegion | None]:
-        """Return the whole."""
-        return [None]
+    def newcomers(self, people: FloatArray, known: Sequence[PersonRegion], look: int) -> list[Person]:
+        """Return whoever is in the picture."""
+        return self.people(people)
 
 
 class TwiceScene(Scene):
     """The same with a detector that finds everybody twice, a hand's breadth apart."""
 
-    def people(self, people: FloatArray, window: PersonRegion | None = None) -> list[Person]:
+    def people(self, people: FloatArray) -> list[Person]:
         """Return whoever is in the picture, and each once more beside."""
-        found = super().people(people, window)
+        found = super().people(people)
         return [
             replace(person, hips=person.hips + beside, shoulders=person.shoulders + beside)
             for person in found

@@ -1,8 +1,10 @@
-"""Keypoints in pictures, found by other programs, as files: JSON of OpenPose's kind and of COCO's.
+"""Keypoints in pictures, found by other programs, as files: JSON of OpenPose's, COCO's and MMPose's kind.
 
 OpenPose, RTMPose and AlphaPose by way of Pose2Sim, and OpenPifPaf's converters write a folder a camera with a
 file a picture, ``{"people": [{"pose_keypoints_2d": [x, y, likelihood, …]}]}``. COCO's results are one list
-(or the ``annotations`` of a dictionary) of ``{"image_id": …, "keypoints": [x, y, likelihood, …]}``.
+(or the ``annotations`` of a dictionary) of ``{"image_id": …, "keypoints": [x, y, likelihood, …]}``. MMPose's
+predictions are one list (or the ``instance_info`` of a dictionary) of ``{"frame_id": …, "instances":
+[{"keypoints": [[x, y], …], "keypoint_scores": [likelihood, …]}]}``.
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ _NUMBERS = re.compile(r"\d+")
 _FIELDS = ("pose_keypoints_2d", "keypoints")
 _MOST_MISSING = 10
 """Times as many pictures as there are files or entries, beyond which numbers are not those of pictures."""
+_LARGEST_LIKELIHOOD = 20.0
+"""Up to which scores of keypoints may be likelihoods."""
 _SURE_STEPS = 10
 """Numbers from which their common step is one, and no accident of those that are left out."""
 
@@ -61,10 +65,27 @@ def read_keypoints(path: Path) -> PictureKeypoints:
     Raises ``FormatError``.
     """
     first, found = _of_folder(path) if path.is_dir() else _of_file(path)
-    _check_counts(path, [person for people in found for person in people])
-    if not any(found):
+    everybody = [person for people in found for person in people]
+    _check_counts(path, everybody)
+    if not everybody:
         raise FormatError(f"{path}: nobody in any of {len(found)} pictures: leave this camera out")
+    _check_likelihoods(path, np.concatenate(everybody)[:, 2])
     return PictureKeypoints(path, tuple(found), first)
+
+
+def _check_likelihoods(path: Path, likelihoods: NDArray[np.float64]) -> None:
+    """Raise ``FormatError`` for what cannot be likelihoods from 0 to 1; those of some networks go a little
+    beyond, and COCO's flags to 2."""
+    if likelihoods.max() > _LARGEST_LIKELIHOOD:
+        raise FormatError(
+            f"{path}: likelihoods of keypoints of up to {likelihoods.max():.4g}: 0 to 1 are wanted (divide "
+            "percent by 100)"
+        )
+    if likelihoods.max() <= 0.0:
+        raise FormatError(
+            f"{path}: no keypoint has a likelihood over 0, as if none had been found: give those that were "
+            "found 1 where the network gives none"
+        )
 
 
 def _check_counts(path: Path, people: Sequence[NDArray[np.float64]]) -> None:
@@ -110,7 +131,10 @@ def _loaded(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise FormatError(f"{path}: cannot be read as JSON: {error}") from error
+        raise FormatError(
+            f"{path}: cannot be read as JSON: {error}: write it again; of a folder, a picture without its "
+            "file shows nobody"
+        ) from error
 
 
 def _people(content: Any, file: Path) -> People:
@@ -125,12 +149,17 @@ def _of_file(path: Path) -> tuple[int, list[People]]:
     content = _loaded(path)
     if isinstance(content, dict) and "people" in content:
         return 0, [_people(content, path)]
-    entries = content.get("annotations") if isinstance(content, dict) else content
+    entries = content
+    if isinstance(content, dict):
+        entries = content.get("annotations", content.get("instance_info"))
     if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
-        raise FormatError(f"{path}: neither 'people' of OpenPose nor a list of COCO's results")
+        raise FormatError(
+            f"{path}: neither 'people' of OpenPose, nor a list of COCO's results or of MMPose's predictions"
+        )
     by_picture: dict[int, list[NDArray[np.float64]]] = {}
     for entry in entries:
-        by_picture.setdefault(_picture_of(entry, path), []).append(_person(entry, path))
+        shown = entry["instances"] if isinstance(entry.get("instances"), list) else [entry]
+        by_picture.setdefault(_picture_of(entry, path), []).extend(_person(each, path) for each in shown)
     if not by_picture:
         raise FormatError(f"{path}: an empty list")
     numbers = sorted(by_picture)
@@ -146,13 +175,19 @@ def _picture_of(entry: dict[str, Any], path: Path) -> int:
 
 
 def _person(entry: Any, path: Path) -> NDArray[np.float64]:
-    values = next((entry[field] for field in _FIELDS if isinstance(entry, dict) and field in entry), None)
+    given = entry if isinstance(entry, dict) else {}
+    values = next((given[field] for field in _FIELDS if field in given), None)
     try:
-        found = np.array(values, dtype=np.float64).reshape(-1, 3)
+        found = np.array(values, dtype=np.float64)
+        if (scores := given.get("keypoint_scores")) is not None:
+            found = np.column_stack([found.reshape(-1, 2), np.array(scores, dtype=np.float64)])
+        found = found.reshape(-1, 3)
     except (TypeError, ValueError) as error:
         raise FormatError(
-            f"{path}: a person without {' or '.join(_FIELDS)}, a list of x, y and likelihood by turns"
+            f"{path}: a person without {' or '.join(_FIELDS)}, a list of x, y and likelihood by turns (or of "
+            "x and y, with a list keypoint_scores)"
         ) from error
+    found[np.isnan(found).any(axis=1)] = 0.0  # how some programs write what they have not found
     if not np.isfinite(found).all():
-        raise FormatError(f"{path}: keypoints that are no numbers: one that was not found is 0, 0, 0")
+        raise FormatError(f"{path}: infinite keypoints: one that was not found is 0, 0, 0")
     return found

@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from gateway.body.camera import Camera
 from gateway.body.camera_entries import CameraEntry, entry_of
-from gateway.calibration.cameras_import import import_cameras
+from gateway.calibration.cameras_import import import_cameras, is_opencv
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray
 from gateway.support.settings_files import load_settings
@@ -51,7 +51,7 @@ def load_cameras(path: Path, up: Axis | None = None, unit: str = "m") -> tuple[C
     up: axis of the file's world that points up; None: as our file says, z for others. Raises
     ``SettingsError``, also for two cameras of one name.
     """
-    if path.suffix.lower() == ".yaml":
+    if path.suffix.lower() == ".yaml" and not is_opencv(path):
         content = load_settings(path, CamerasFile)
         cameras = tuple(entry.camera(str(path)) for entry in content.cameras)
         up = up or content.up

@@ -30,18 +30,27 @@ _TOML_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 
 
 def import_cameras(path: Path, unit: str = "m") -> tuple[Camera, ...]:
-    """Read the cameras of a file by another program, recognised by its name. Raises ``SettingsError``.
+    """Read the cameras of a file by another program, recognised by what is in it, or of a folder with a file
+    of OpenCV's for each camera. Raises ``SettingsError``.
 
     unit: of lengths in TOML and OpenCV files, which do not name theirs: m, cm or mm.
     """
     if unit not in _TOML_UNITS:
         raise SettingsError(f"unit '{unit}': one of {', '.join(_TOML_UNITS)} is wanted")
-    for ending, read in _READERS.items():
-        if path.name.lower().endswith(ending):
-            cameras = read(path, _TOML_UNITS[unit])
-            break
+    metres = _TOML_UNITS[unit]
+    if path.is_dir():
+        cameras = _read_folder(path, metres)
+    elif is_opencv(path):
+        cameras = _read_opencv(path, metres)
+    elif _text(path).startswith("<") or ".qca" in path.name.lower():
+        cameras = _read_qualisys(path)
+    elif path.suffix.lower() == ".toml":
+        cameras = _read_toml(path, metres)
     else:
-        raise SettingsError(f"{path}: calibrations of cameras end in {', '.join(_READERS)}")
+        raise SettingsError(
+            f"{path}: is no calibration of cameras: neither of Qualisys (.qca.txt), nor in TOML (Pose2Sim, "
+            "anipose), nor in YAML or XML of OpenCV"
+        )
     if not cameras:
         raise SettingsError(f"{path}: holds no camera")
 
@@ -50,7 +59,25 @@ def import_cameras(path: Path, unit: str = "m") -> tuple[Camera, ...]:
     return cameras
 
 
-def _read_qualisys(path: Path, _: float) -> tuple[Camera, ...]:
+def is_opencv(path: Path) -> bool:
+    """Return whether a file is OpenCV's YAML or XML, by its name or its beginning."""
+    beginning = _text(path)[:200]
+    return path.suffix.lower() == ".yml" or beginning.startswith("%YAML") or "<opencv_storage" in beginning
+
+
+def _read_folder(folder: Path, metres: float) -> tuple[Camera, ...]:
+    """Read a folder of files of OpenCV's: one a camera, or one for all and one that completes it."""
+    files = sorted(each for each in folder.iterdir() if each.suffix.lower() in (".yml", ".yaml", ".xml"))
+    files = [each for each in files if is_opencv(each)]
+    if not files:
+        raise SettingsError(f"{folder}: has no file of OpenCV's (.yml, .yaml or .xml)")
+    whole = next((each for each in files if each.stem == "intri"), None)
+    if whole is not None:
+        return _read_opencv(whole, metres)
+    return tuple(camera for each in files for camera in _read_opencv(each, metres))
+
+
+def _read_qualisys(path: Path) -> tuple[Camera, ...]:
     """Read a Qualisys calibration; its lengths are in mm.
 
     The transform's rows are the camera's axes in the world, and its place is in world axes.
@@ -211,12 +238,3 @@ def _text(path: Path) -> str:
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror}") from error
     return re.sub(r"^\s*", "", text)
-
-
-_READERS: Mapping[str, Callable[[Path, float], tuple[Camera, ...]]] = {
-    ".qca.txt": _read_qualisys,
-    ".qca": _read_qualisys,
-    ".toml": _read_toml,
-    ".yml": _read_opencv,
-    ".xml": _read_opencv,
-}

@@ -79,7 +79,9 @@ def _stored(storages: list[cv2.FileStorage], name: str, ending: str, path: Path)
         node = next(iter(_nodes(storages, wanted)), None)
         values = None if node is None else node.mat()
         if values is None:
-            raise SettingsError(f"{path}: camera '{name}' has no matrix {' or '.join(wanted)}")
+            other = _HALVES.get(path.name)
+            beside = f" (nor has {other} beside it)" if other else ""
+            raise SettingsError(f"{path}: camera '{name}' has no matrix {' or '.join(wanted)}{beside}")
         if sizes is not None and values.size not in sizes:
             raise SettingsError(f"{path}: {wanted[0]} of camera '{name}' has {values.size} numbers")
         return np.asarray(values, dtype=np.float64)
@@ -88,7 +90,10 @@ def _stored(storages: list[cv2.FileStorage], name: str, ending: str, path: Path)
         wanted = [f"{key}{ending}" for key in keys]
         node = next(iter(_nodes(storages, wanted)), None)
         if node is None or not (node.isInt() or node.isReal()):
-            raise SettingsError(f"{path}: camera '{name}' has no picture size ({' or '.join(wanted)})")
+            raise SettingsError(
+                f"{path}: camera '{name}' has no picture size ({' or '.join(wanted)}): add a line such as "
+                f"{wanted[-1]}: 1080, in pixels"
+            )
         return int(node.real())
 
     rotation = array(_ROTATION, (3, 9))

@@ -77,7 +77,7 @@ class Consistency:
             raise GatewayError(
                 f"{calibration} does not fit these pictures: rays through the same keypoint pass each other "
                 f"at {1e3 * min(self.apart.values()):.0f} to {1e3 * far:.0f} mm (camera '{name}'): is it of "
-                "these cameras, in this order?"
+                "these cameras, in this order, for pictures of this size?"
             )
         wrong = [name for name, far in self.apart.items() if far > FAR_APART and len(self.apart) > 2]
         if wrong:
@@ -97,6 +97,17 @@ def in_step(messages: Sequence[Sequence[bytes]], skipped: Sequence[int]) -> list
     return [
         [retimed(messages[t + late][c], t, times_ns[t]) for c, late in enumerate(skipped)] for t in range(n)
     ]
+
+
+def views(messages: Sequence[Sequence[bytes]]) -> int:
+    """Return in how many pictures of all cameras somebody is seen."""
+    receiver = HeatMapReceiver()
+    return sum(
+        each.likelihood is not None
+        for instant in messages
+        for message in instant
+        for each in receiver.receive(message)
+    )
 
 
 def _offset(offset: int) -> str:

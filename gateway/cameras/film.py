@@ -27,7 +27,7 @@ def drawn_instants(
     has_maps: bool = True,
 ) -> Iterator[Picture]:
     """Yield the pictures of all cameras in a row, ``height`` pixels high, with what the recording has of
-    them; the first bears the recording's name and the number of the picture.
+    them, its name, which tells the person, and the number of the picture.
 
     pictures: of every instant, in the order of the cameras.
     """
@@ -48,8 +48,7 @@ def drawn_instants(
             )
             for c, picture in enumerate(row)
         ]
-        caption = f"{names[0]}  {recording.meta.path.stem}  picture {sequence}"
-        yield side_by_side(drawn, [caption, *names[1:]], height)
+        yield side_by_side(drawn, names, height, f"{recording.meta.path.stem}  picture {sequence}")
 
 
 def _drawn(

@@ -34,13 +34,13 @@ from gateway.reconstruction.video.networks.weights import keypoint_set_of
 from gateway.reconstruction.video.proportions import standard_lengths
 from gateway.reconstruction.video.reconstructor import VideoReconstructor, worn_person
 from gateway.reconstruction.video.region import peaks
-from gateway.sources.heat_maps import Instant, Instants, heat_maps_of
+from gateway.sources.heat_maps import Instant, Instants, KnownCameras, heat_maps_of
 
 AHEAD = 2
 """Pictures from a pose to those that its orders are for: while the pose of one instant is found, the cameras
 look at the next one, and what comes out does not depend on who is faster."""
 _TRIAL = 40
-"""Instants after which somebody who has not entered is given up."""
+"""Instants in which somebody must enter, or be given up."""
 _LEAST_TRIAL = 0.5
 """Share of the instants of the trial in which somebody must be there."""
 _LEAST_SEEN = 0.3
@@ -135,7 +135,7 @@ class LiveCrowd:
         """Begin with nobody. most: people that are tracked at once, those on trial too."""
         self._video, self._most = video, most
         self._cameras: Sequence[Camera] = video.cameras
-        self._row = {camera.name: row for row, camera in enumerate(video.cameras)}
+        self._known = KnownCameras(video)
         keypoints = load_keypoint_set(keypoint_set_of(video.network))
         self._names = keypoints.names
         self._crowd = VideoCrowd(video.cameras, keypoints, 0)
@@ -162,13 +162,13 @@ class LiveCrowd:
         """Yield the instants that a chunk completes."""
         receiver = self._receivers.setdefault(chunk.link, HeatMapReceiver())
         for message in receiver.receive(chunk.data):
-            row = self._row.get(message.camera)
-            if row is None:
-                self.counts.refused["unknown_camera"] += 1
-            elif message.network != self._video.network:
-                self.counts.refused["other_network"] += 1
-            elif not self._instants.add(row, message, chunk.arrived_ns):
-                self.counts.refused["too_late"] += 1
+            reason = self._known.refuse(message, chunk.link)
+            if reason is None and not self._instants.add(
+                self._known.rows[message.camera], message, chunk.arrived_ns
+            ):
+                reason = "too_late"
+            if reason is not None:
+                self.counts.refused[reason] += 1
             for instant in self._instants.complete():
                 yield self._advanced(instant)
 
@@ -268,7 +268,7 @@ class LiveCrowd:
             if index in self._crowd.same_as
             or (each.number is not None and each.absent >= _ABSENT)
             or (each.number is not None and tracker.pose is None)
-            or (each.number is None and each.instants >= _TRIAL)
+            or (each.number is None and each.instants - each.there > (1.0 - _LEAST_TRIAL) * _TRIAL)
         ]
         left = []
         for index in reversed(gone):

@@ -16,6 +16,8 @@ from gateway.geometry import quaternion
 _LEFT, _RIGHT, _MIDDLE = (80, 200, 80), (60, 60, 230), (240, 200, 60)
 """Blue, green, red."""
 _OPACITY = 0.75
+_LINE = 22
+"""Pixels, of a line of text."""
 _THICKNESS = 1 / 300
 """Of a line, as a share of the picture's height."""
 
@@ -56,14 +58,22 @@ def segment_ends(skeleton: Skeleton, frame: SkeletonFrame) -> FloatArray:
     return np.stack([frame.p_w, np.array(tips)], axis=1)
 
 
-def side_by_side(pictures: Sequence[Picture], names: Sequence[str], height: int) -> Picture:
-    """Return pictures of several cameras in a row, each with its name, all ``height`` pixels high."""
+def side_by_side(pictures: Sequence[Picture], names: Sequence[str], height: int, caption: str) -> Picture:
+    """Return pictures of several cameras in a row, each with its name, all ``height`` pixels high; caption:
+    what all of them show, below."""
     row = []
     for picture, name in zip(pictures, names, strict=True):
         width = max(round(picture.shape[1] * height / picture.shape[0]), 1)
-        small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
-        cv2.putText(small, name, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 2, cv2.LINE_AA)
+        small: Picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA).astype(np.uint8)
+        _write(small, name, _LINE)
         row.append(small)
     joined = np.concatenate(row, axis=1)
     even: Picture = joined[: height - height % 2, : joined.shape[1] - joined.shape[1] % 2].astype(np.uint8)
+    _write(even, caption, even.shape[0] - _LINE // 2)
     return even
+
+
+def _write(picture: Picture, text: str, y: int) -> None:
+    """Write white on black, at the left, ``y`` pixels below the upper edge."""
+    for colour, thickness in (((0, 0, 0), 4), ((255, 255, 255), 2)):
+        cv2.putText(picture, text, (8, y), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, thickness, cv2.LINE_AA)

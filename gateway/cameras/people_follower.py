@@ -44,15 +44,15 @@ class Network(Protocol[Picture_contra]):
 class Detector(Protocol[Picture_contra]):
     """What finds people."""
 
-    def people(self, picture: Picture_contra, window: PersonRegion | None = None) -> list[Person]:
-        """Return the people of a picture, or of one part of it, the likeliest first."""
+    def people(self, picture: Picture_contra) -> list[Person]:
+        """Return the people of a picture, the likeliest first."""
 
     def everybody(self, picture: Picture_contra, most: int) -> list[Person]:
         """Return as ``people`` does, and those whom somebody nearer outshines in the whole; it takes long."""
 
-    def windows(self, picture: Picture_contra) -> list[PersonRegion | None]:
-        """Return parts in which people are found whom somebody nearer outshines in the whole; None: the
-        whole."""
+    def newcomers(self, picture: Picture_contra, known: Sequence[PersonRegion], look: int) -> list[Person]:
+        """Return people beside the ``known`` ones; look: counts the looks, which may each be at another part
+        of the picture."""
 
 
 class PeopleFollower(Generic[Picture_contra]):
@@ -140,13 +140,12 @@ class PeopleFollower(Generic[Picture_contra]):
                 self._since[number] = self._pictures
 
     def _newcomers(self, picture: Picture_contra) -> list[Person]:
-        """Return whom the detector finds: at first anywhere, then in one part of the picture after the
-        other."""
+        """Return whom the detector finds: at first everybody at once, which takes long."""
         self._looks += 1
         if self._looks == 1:
             return self._detector.everybody(picture, self._most)
-        windows = self._detector.windows(picture)
-        return self._detector.people(picture, windows[self._looks % len(windows)])
+        known = [region for region in self._regions.values() if region is not None]
+        return self._detector.newcomers(picture, known, self._looks)
 
     def _nearest(self, people: list[Person]) -> list[Person]:
         """Return the one nearest to who was lost last, else the likeliest."""

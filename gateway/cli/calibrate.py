@@ -65,10 +65,12 @@ def cameras(
     every: Annotated[int, typer.Option(min=1, help="Take every so many pictures.")] = 1,
     import_file: Annotated[
         Path | None,
-        typer.Option("--import", help="Instead of all that: a .qca.txt, .toml, .yml or .xml calibration."),
+        typer.Option(
+            "--import", help="Instead of all that: a calibration of Qualisys, Pose2Sim, anipose or OpenCV."
+        ),
     ] = None,
     up: Annotated[str, typer.Option(help=f"Axis of the world that points up: {', '.join(AXES)}.")] = "z",
-    unit: Annotated[str, typer.Option(help="Unit of lengths in .toml, .yml and .xml: m, cm or mm.")] = "m",
+    unit: Annotated[str, typer.Option(help="Unit of lengths in TOML and of OpenCV: m, cm or mm.")] = "m",
     output: Annotated[Path, typer.Option("--output", "-o", help="The calibration file.")] = Path(
         "cameras.yaml"
     ),

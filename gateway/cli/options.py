@@ -22,21 +22,24 @@ from gateway.support.settings_files import as_shown
 Command = Callable[..., None]
 
 
-def with_options(group: type[Any]) -> Callable[[Command], Command]:
-    """Give a command the options of ``group`` in place of its first parameter.
+def with_options(*groups: type[Any]) -> Callable[[Command], Command]:
+    """Give a command the options of ``groups`` in place of its first parameters, one a group.
 
-    group: dataclass whose fields are annotated as typer wants options, every one with a default.
+    groups: dataclasses whose fields are annotated as typer wants options, every one with a default.
     """
-    names = [field.name for field in fields(group)]
-    options = inspect.signature(group, eval_str=True).parameters.values()
+    options = [
+        option for group in groups for option in inspect.signature(group, eval_str=True).parameters.values()
+    ]
 
     def dressed(command: Command) -> Command:
-        own = list(inspect.signature(command, eval_str=True).parameters.values())[1:]
+        own = list(inspect.signature(command, eval_str=True).parameters.values())[len(groups) :]
 
         @wraps(command)
         def with_group(**given: Any) -> None:
-            chosen = group(**{name: given.pop(name) for name in names})
-            command(chosen, **given)
+            chosen = [
+                group(**{field.name: given.pop(field.name) for field in fields(group)}) for group in groups
+            ]
+            command(*chosen, **given)
 
         parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in [*own, *options]]
         with_group.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]

@@ -26,6 +26,7 @@ from gateway.cli.options import (
     Username,
     broker_settings,
     refuse_existing,
+    with_options,
 )
 from gateway.cli.terminal import progress_bar
 from gateway.contract.topics import CAMERA
@@ -35,6 +36,7 @@ from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
 from gateway.support.extras import require_video_extra
 
 if TYPE_CHECKING:
+    from gateway.cameras.broker_outlet import BrokerOutlet
     from gateway.cameras.serving import Sink
 
 
@@ -47,23 +49,14 @@ Places = Annotated[
 ]
 Cameras = Annotated[
     Path,
-    typer.Option("--cameras", help="Calibration: of `calibrate cameras`, .qca.txt, .toml, .yml or .xml."),
+    typer.Option(
+        "--cameras", help="Calibration: of `calibrate cameras`, Qualisys, Pose2Sim, anipose or OpenCV."
+    ),
 ]
 Network = Annotated[str, typer.Option(help="Pose network: full, lite, heavy or openpose.")]
 Offset = Annotated[
     list[str] | None,
     typer.Option(metavar="CAMERA=PICTURES", help="Pictures at the start of a camera that are left out."),
-]
-People = Annotated[
-    str,
-    typer.Option(metavar="N|all", help="People to follow, one recording each; all: whom two cameras see."),
-]
-Join = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="CAMERA+CAMERA",
-        help="Two cameras side by side, put together where somebody is partly in either picture.",
-    ),
 ]
 Rate = Annotated[float | None, typer.Option(min=1, help="Pictures a second of folders of images.")]
 
@@ -82,7 +75,7 @@ class Pictures:
         str | None, typer.Option(help=f"Axis of the calibration that points up: {', '.join(AXES)}.")
     ] = None
     unit: Annotated[
-        str, typer.Option(help="Unit of lengths in .toml, .yml and .xml calibrations: m, cm or mm.")
+        str, typer.Option(help="Unit of lengths in calibrations in TOML and of OpenCV: m, cm or mm.")
     ] = "m"
 
 
@@ -236,7 +229,46 @@ def overlay(
 _DAY_S = 86_400
 
 
+@dataclass(frozen=True)
+class CameraBroker:
+    """The options for a camera that is served at a broker."""
+
+    mqtt: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Publish at this broker in the place of TCP.")
+    ] = None
+    topic: Annotated[
+        str | None, typer.Option(help=f"At the broker; default {CAMERA.format(camera='NAME')}.")
+    ] = None
+    username: Username = None
+    password_file: PasswordFile = None
+    protocol: Protocol = "3.1.1"
+    ca_file: CaFile = None
+
+    def outlet(self, camera: str) -> tuple[BrokerOutlet, str] | None:
+        """Return what publishes at the broker, and where that is in words; None: no broker is named.
+
+        Raises ``GatewayError``.
+        """
+        from gateway.cameras.broker_outlet import BrokerOutlet
+
+        if self.mqtt is None:
+            return None
+        host, _, port = self.mqtt.rpartition(":")
+        if not host or not port.isdigit() or not 0 < int(port) < 1 << 16:
+            raise GatewayError(f"--mqtt {self.mqtt}: write HOST:PORT, such as 127.0.0.1:1883")
+        topic = self.topic or CAMERA.format(camera=camera)
+        if set(topic) & set("+#\0"):
+            raise GatewayError(f"--topic {topic}: + and # stand for other topics, and cannot be published on")
+        settings = broker_settings(
+            self.ca_file, host=host, port=int(port), username=self.username,
+            password_file=self.password_file, protocol=self.protocol,
+        )  # fmt: skip
+        return BrokerOutlet(settings, topic), f"on topic {topic} of {self.mqtt}"
+
+
+@with_options(CameraBroker)
 def serve_camera(
+    broker: CameraBroker,
     place: Annotated[
         str,
         typer.Argument(help="Video, folder, v4l:///dev/video0, or recording of `solve`."),
@@ -262,16 +294,6 @@ def serve_camera(
         str | None,
         typer.Option(metavar="HH:MM:SS", help="When a file begins, UTC; else with the first receiver."),
     ] = None,
-    mqtt: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="Publish at this broker in the place of TCP.")
-    ] = None,
-    topic: Annotated[
-        str | None, typer.Option(help=f"At the broker; default {CAMERA.format(camera='NAME')}.")
-    ] = None,
-    username: Username = None,
-    password_file: PasswordFile = None,
-    protocol: Protocol = "3.1.1",
-    ca_file: CaFile = None,
 ) -> None:
     """Serve the heat maps of one camera over TCP or MQTT to a gateway elsewhere; no picture leaves here.
 
@@ -281,29 +303,19 @@ def serve_camera(
     are, without pictures or network. Two cameras side by side (--beside) are put together where the rig of
     the gateway names them so: `video solve --join --fit-subject` writes it.
     """
-    from gateway.cameras.broker_outlet import BrokerOutlet
     from gateway.cameras.serving import Outlet, listening
 
     require_video_extra()
     begin_s = None if at is None else moment(at, time.time())
     tasks = [CameraTask(each, at_place, network, rate) for each, at_place in _beside(name, place, beside)]
-    if mqtt is None:
-        with listening(host, port) as listener:
-            _print_line(f"camera '{name}' at tcp://{host}:{listener.getsockname()[1]}; Ctrl-C ends")
-            _serve(tasks, Outlet(listener), speed, begin_s, people)
+    if (published := broker.outlet(name)) is not None:
+        outlet, where = published
+        _print_line(f"camera '{name}' {where}; Ctrl-C ends")
+        _serve(tasks, outlet, speed, begin_s, people)
         return
-    broker, _, number = mqtt.rpartition(":")
-    if not broker or not number.isdigit() or not 0 < int(number) < 1 << 16:
-        raise GatewayError(f"--mqtt {mqtt}: write HOST:PORT, such as 127.0.0.1:1883")
-    topic = topic or CAMERA.format(camera=name)
-    if set(topic) & set("+#\0"):
-        raise GatewayError(f"--topic {topic}: + and # stand for other topics, and cannot be published on")
-    settings = broker_settings(
-        ca_file, host=broker, port=int(number), username=username, password_file=password_file,
-        protocol=protocol,
-    )  # fmt: skip
-    _print_line(f"camera '{name}' on topic {topic} of {mqtt}; Ctrl-C ends")
-    _serve(tasks, BrokerOutlet(settings, topic), speed, begin_s, people)
+    with listening(host, port) as listener:
+        _print_line(f"camera '{name}' at tcp://{host}:{listener.getsockname()[1]}; Ctrl-C ends")
+        _serve(tasks, Outlet(listener), speed, begin_s, people)
 
 
 def _beside(name: str, place: str, neighbour: str | None) -> list[tuple[str, str]]:

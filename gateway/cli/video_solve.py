@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -18,14 +18,13 @@ from devices.cameras.keypoint_files import is_keypoints
 from gateway.body.camera import Camera
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.calibration.cameras_file import axis_of, load_cameras
+from gateway.calibration.picture_size import SizeChange
 from gateway.cameras.camera_process import CameraTask
 from gateway.cli.export import export
 from gateway.cli.options import AsJson, ReplaceFiles, refuse_existing, with_options
 from gateway.cli.terminal import progress_bar
 from gateway.cli.video import (
     Cameras,
-    Join,
-    People,
     Pictures,
     Places,
     joined_of,
@@ -47,6 +46,10 @@ if TYPE_CHECKING:
     from gateway.recording.video import SolvedVideo
 
 
+_TABLES = (".csv", ".h5", ".slp", ".pkl", ".npz")
+"""What DeepLabCut, SLEAP and others write keypoints into, under names of the user's own."""
+
+
 class Capture(NamedTuple):
     """What the cameras saw."""
 
@@ -56,8 +59,37 @@ class Capture(NamedTuple):
     rate_hz: float
 
 
-@with_options(Pictures)
+@dataclass(frozen=True)
+class Choice:
+    """The options that say who and what of the pictures is taken."""
+
+    people: Annotated[
+        str,
+        typer.Option(
+            metavar="N|all", help="People to follow, one recording each; all: whom two cameras see."
+        ),
+    ] = "1"
+    join: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CAMERA+CAMERA",
+            help="Two cameras side by side, put together where somebody is partly in either picture.",
+        ),
+    ] = None
+    synchronise: Annotated[
+        bool, typer.Option("--synchronise", help="Shift cameras that are out of step by what is found.")
+    ] = False
+    frames: Annotated[int | None, typer.Option(min=1, help="Instants to take; a live camera needs it.")] = (
+        None
+    )
+    unequal: Annotated[
+        bool, typer.Option("--unequal", help="Take the common pictures of files that differ in length.")
+    ] = False
+
+
+@with_options(Choice, Pictures)
 def solve(
+    choice: Choice,
     pictures: Pictures,
     files: Places,
     cameras: Cameras,
@@ -82,17 +114,6 @@ def solve(
         Path | None,
         typer.Option(help="Write the person and the cameras into a file: a gateway's rig, or --subject."),
     ] = None,
-    people: People = "1",
-    join: Join = None,
-    synchronise: Annotated[
-        bool, typer.Option("--synchronise", help="Shift cameras that are out of step by what is found.")
-    ] = False,
-    frames: Annotated[
-        int | None, typer.Option(min=1, help="Instants to take; a live camera needs it.")
-    ] = None,
-    unequal: Annotated[
-        bool, typer.Option("--unequal", help="Take the common pictures of files that differ in length.")
-    ] = False,
     force: ReplaceFiles = False,
     as_json: AsJson = False,
 ) -> None:
@@ -100,36 +121,24 @@ def solve(
     like any other.
 
     In the place of videos, keypoints that another program found: a folder of JSON a camera (OpenPose,
-    RTMPose of Pose2Sim), or COCO's results; with --rate.
+    RTMPose of Pose2Sim), or one file a camera of AlphaPose, MMPose or COCO's results; with --rate.
     """
     from gateway.body.rig import load_rig
-    from gateway.cameras.consistency import consistency_of
-    from gateway.cameras.rig_of_cameras import RigOptions
     from gateway.recording.video import video_suit
 
-    wanted = people_of(people)
+    wanted = people_of(choice.people)
     if subject is not None and wanted != 1:
         raise GatewayError(
             "--subject is one person's, --people of more measures everybody: leave one of them out"
         )
     target = _target(files, output, to or [])
     _places(target, wanted or 1, force=force)
-    if _are_keypoints(files):
-        if join:
-            raise GatewayError("--join puts pictures together: keypoints of other programs have none")
-        capture = _imported(files, cameras, pictures, wanted, frames)
-    else:
-        require_video_extra()
-        seen, tasks = matched(files, cameras, pictures)
-        video = VideoSetUp(seen, pictures.network, joined_of(join or [], seen))
-        options = RigOptions(not unequal, wanted or MOST_PEOPLE)
-        capture = Capture(video, *looked_at(video, tasks, frames, options, is_shown=not as_json))
-    people_seen = _sorted_out(capture, wanted, synchronise=synchronise)
+    capture = _captured(files, cameras, pictures, choice, is_shown=not as_json)
+    people_seen, checks = _sorted_out(capture, choice, cameras)
     known = None if subject is None else load_rig(str(subject))
     outcomes = []
-    for messages, place, person in _people(people_seen, target, fit_subject, force=force):
-        checked = consistency_of(capture.video.cameras, messages)
-        checked.refuse_wrong(cameras)
+    places = _people(people_seen, target, fit_subject, force=force)
+    for (messages, place, person), checked in zip(places, checks, strict=True):
         suit = video_suit(capture.video.cameras, capture.video.network, messages, known)
         suit = replace(suit, video=capture.video)
         if person is not None:
@@ -144,18 +153,57 @@ def solve(
         typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
 
 
-def _sorted_out(capture: Capture, wanted: int | None, *, synchronise: bool) -> Sequence[Instants]:
-    """Return the people of a capture, with the cameras brought into step where that is asked."""
-    _report_how_many(len(capture.people), wanted)
-    if len(capture.video.cameras) < 2:
+def _captured(
+    files: Sequence[str], calibration: Path, pictures: Pictures, choice: Choice, *, is_shown: bool
+) -> Capture:
+    """Return what the cameras saw, by our own network or by another program."""
+    from gateway.cameras.rig_of_cameras import RigOptions
+
+    wanted = people_of(choice.people)
+    if _are_keypoints(files):
+        if choice.join:
+            raise GatewayError("--join puts pictures together: keypoints of other programs have none")
+        return _imported(files, calibration, pictures, wanted, choice.frames)
+    require_video_extra()
+    cameras, tasks = matched(files, calibration, pictures)
+    video = VideoSetUp(cameras, pictures.network, joined_of(choice.join or [], cameras))
+    options = RigOptions(not choice.unequal, wanted or MOST_PEOPLE)
+    return Capture(video, *looked_at(video, tasks, choice.frames, options, is_shown=is_shown))
+
+
+def _sorted_out(
+    capture: Capture, choice: Choice, calibration: Path
+) -> tuple[Sequence[Instants], list[Consistency]]:
+    """Return the people of a capture, with the cameras brought into step where that is asked, and how well
+    the cameras agree upon each.
+
+    Whoever is seen the most tells whether the calibration is right and the cameras are in step, for all:
+    somebody who is half hidden may seem to tell otherwise. Raises ``GatewayError`` where they are not.
+    """
+    from gateway.cameras.consistency import consistency_of, views
+
+    people, cameras = capture.people, capture.video.cameras
+    _report_how_many(len(people), people_of(choice.people))
+    if len(cameras) < 2:
         typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
-    return _in_step(capture.video.cameras, capture.people) if synchronise else capture.people
+    clearest = max(range(len(people)), key=lambda k: views(people[k]))
+    if choice.synchronise:
+        people = _in_step(cameras, people, clearest)
+    checks = [consistency_of(cameras, messages) for messages in people]
+    checks[clearest].refuse_wrong(calibration)
+    return people, checks
 
 
 def _are_keypoints(files: Sequence[str]) -> bool:
     """Return whether keypoints of another program are given in the place of pictures. Raises
     ``GatewayError`` where some are and some are not."""
     places = [each.rpartition("=")[2] for each in files]
+    for place in places:
+        if Path(place).suffix.lower() in _TABLES:
+            raise GatewayError(
+                f"{place}: keypoints are read as JSON of OpenPose's, COCO's or MMPose's kind: convert them "
+                "(Pose2Sim's DLC_H5_to_OpenPose does DeepLabCut's), or give the films"
+            )
     others = [place for place in places if not is_keypoints(place)]
     if others and len(others) < len(places):
         raise GatewayError(
@@ -164,11 +212,11 @@ def _are_keypoints(files: Sequence[str]) -> bool:
     return not others
 
 
-def _in_step(cameras: Sequence[Camera], captured: Sequence[Instants]) -> list[Instants]:
-    """Leave pictures out at the start of cameras that began earlier, as the first person tells, for all."""
+def _in_step(cameras: Sequence[Camera], captured: Sequence[Instants], clearest: int) -> list[Instants]:
+    """Leave pictures out at the start of cameras that began earlier, as one person tells, for all."""
     from gateway.cameras.consistency import consistency_of, in_step
 
-    checked = consistency_of(cameras, captured[0])
+    checked = consistency_of(cameras, captured[clearest])
     if not checked.offsets:
         return list(captured)
     listed = ", ".join(f"{name} {late}" for name, late in zip(checked.names, checked.skipped, strict=True))
@@ -186,6 +234,11 @@ def _imported(
     if pictures.rate is None:
         raise GatewayError(
             "keypoints do not tell when pictures were taken: say how many a second with --rate"
+        )
+    if pictures.sizes is not SizeChange.NONE:
+        raise GatewayError(
+            f"--sizes {pictures.sizes}: keypoints do not tell the size of their pictures: give a calibration "
+            "for pictures of that size"
         )
     axis = None if pictures.up is None else axis_of(pictures.up)
     known = {camera.name: camera for camera in load_cameras(calibration, axis, pictures.unit)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,10 +11,12 @@ import numpy as np
 
 from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver
 from devices.link import Chunk
-from gateway.body.skeleton import WornSuit
+from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.contract.balances import Balance
 from gateway.frames import CameraHeatMaps, HeatMapFrame
 from gateway.sources.source import ListeningSource
+
+log = logging.getLogger(__name__)
 
 PATIENCE = 3
 PATIENCE_NS = 250_000_000
@@ -21,6 +24,8 @@ PATIENCE_NS = 250_000_000
 SILENT_NS = 1_000_000_000
 """A camera of which nothing has come for so long is not waited for."""
 
+_MOST_LOGGED = 16
+"""Different reasons for which messages are left out that are logged."""
 _BEGUN_ANEW = 8
 """Pictures by which a camera's numbers must fall: less is a message that comes twice or late."""
 
@@ -33,10 +38,9 @@ class HeatMapSource(ListeningSource):
     def __init__(self, suit: WornSuit) -> None:
         """Receive the cameras that ``suit.video`` names."""
         assert suit.video is not None
-        self._row = {camera.name: row for row, camera in enumerate(suit.video.cameras)}
-        self._network = suit.video.network
+        self._known = KnownCameras(suit.video)
         self._receivers: dict[str, HeatMapReceiver] = {}
-        self._instants = Instants(len(self._row))
+        self._instants = Instants(len(self._known.rows))
         self._refused: dict[str, Counter[str]] = {}
         """By link: unknown_camera, other_network, too_late."""
 
@@ -58,7 +62,7 @@ class HeatMapSource(ListeningSource):
         shown = {
             row: each for row, messages in instant.messages.items() for each in messages if each.person == 0
         }
-        maps = tuple(heat_maps_of(shown.get(row)) for row in range(len(self._row)))
+        maps = tuple(heat_maps_of(shown.get(row)) for row in range(len(self._known.rows)))
         return HeatMapFrame(instant.sequence, instant.time_ns, maps)
 
     def dropped(self) -> Mapping[str, Mapping[str, int]]:
@@ -84,13 +88,51 @@ class HeatMapSource(ListeningSource):
         yield Balance("frames", self._instants.given, {})
 
     def _take(self, message: HeatMapMessage, chunk: Chunk) -> None:
-        row, refused = self._row.get(message.camera), self._refused[chunk.link]
-        if row is None:
-            refused["unknown_camera"] += 1
+        reason = self._known.refuse(message, chunk.link)
+        if reason is None and not self._instants.add(
+            self._known.rows[message.camera], message, chunk.arrived_ns
+        ):
+            reason = "too_late"
+        if reason is not None:
+            self._refused[chunk.link][reason] += 1
+        elif message.person != 0:
+            self._known.warn(
+                chunk.link,
+                f"camera '{message.camera}' tells of several people: set 'people' in the configuration, or "
+                "serve it without --people",
+            )
+
+
+class KnownCameras:
+    """The cameras and the network that a rig is for."""
+
+    def __init__(self, video: VideoSetUp) -> None:
+        self.rows = {camera.name: row for row, camera in enumerate(video.cameras)}
+        """By the camera's name, its place in the order."""
+        self._network = video.network
+        self._logged: set[str] = set()
+
+    def refuse(self, message: HeatMapMessage, link: str) -> str | None:
+        """Return why a message cannot be used, which is logged once with a remedy; None: it can."""
+        if message.camera not in self.rows:
+            reason, listed = "unknown_camera", ", ".join(self.rows)
+            why = f"camera '{message.camera}' is not in the rig: serve it with the --name of one ({listed})"
         elif message.network != self._network:
-            refused["other_network"] += 1
-        elif not self._instants.add(row, message, chunk.arrived_ns):
-            refused["too_late"] += 1
+            reason = "other_network"
+            why = (
+                f"camera '{message.camera}' sends keypoints of '{message.network}', and the rig is for "
+                f"'{self._network}': serve it with --network {self._network}"
+            )
+        else:
+            return None
+        self.warn(link, f"{why}; its pictures are left out")
+        return reason
+
+    def warn(self, link: str, why: str) -> None:
+        """Log something once."""
+        if why not in self._logged and len(self._logged) < _MOST_LOGGED:
+            self._logged.add(why)
+            log.warning("link '%s': %s", link, why)
 
 
 @dataclass(frozen=True, slots=True)

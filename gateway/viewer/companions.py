@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import viser
 
 from devices.link import gateway_time_ns
 from gateway.contract.messages import BodyMessage
-from gateway.outputs.subscriber import ReceivedPose
+from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.viewer.pose_table import STALE_AFTER_S
 from gateway.viewer.posture import PostureKeeper, skeleton_of
 from gateway.viewer.scene import BodyScene
@@ -17,6 +17,8 @@ from gateway.viewer.stage import Stage
 
 _NUMBERED = re.compile(r"(.+)_(\d+)")
 MOST = 8
+_ABOVE_M = 0.3
+"""Of a name over the highest joint, which is the head's lower end where somebody stands."""
 
 
 class _Companion:
@@ -26,18 +28,28 @@ class _Companion:
         skeleton = skeleton_of(body)
         self.body = body
         self.drawn: ReceivedPose | None = None
+        self._stage = stage
         self._keeper = PostureKeeper(skeleton)
         self._scene = BodyScene(server, stage, skeleton, root=f"/companions/{name}")
-        self.remove = self._scene.remove
+        self._label = server.scene.add_label(f"/companions/{name}/name", name, anchor="bottom-center")
+
+    def remove(self) -> None:
+        """Take it off the page."""
+        self._scene.remove()
+        self._label.remove()
 
     def draw(self, received: ReceivedPose) -> None:
         """Bring it to a pose, every time: its place on the page depends on the page's middle too."""
         self.drawn = received
-        self._scene.draw(self._keeper.take(received.pose), is_stale=False)
+        posture = self._keeper.take(received.pose)
+        self._scene.draw(posture, is_stale=False)
+        p_w = posture.p_w - self._stage.middle
+        x, y, _ = p_w.mean(axis=0)
+        self._label.position = (x, y, p_w[:, 2].max() + _ABOVE_M)
 
 
 class Companions:
-    """A body for each person who gives poses: ``lab_2`` and ``lab_3`` beside ``lab_1``."""
+    """A body, below its name, for each person who gives poses: ``lab_2`` and ``lab_3`` beside ``lab_1``."""
 
     def __init__(self, server: viser.ViserServer, stage: Stage) -> None:
         self._server, self._stage = server, stage
@@ -61,7 +73,7 @@ class Companions:
         shown = {
             name: each
             for name, each in self._latest.items()
-            if name != beside and name in bodies and _room_of(name) == _room_of(beside)
+            if name != beside and name in bodies and room_of(name) == room_of(beside)
         }
         for name, companion in list(self._drawn.items()):
             if name not in shown or companion.body != bodies[name]:
@@ -73,7 +85,16 @@ class Companions:
             self._drawn[name].draw(received)
 
 
-def _room_of(gateway: str) -> str | None:
+def people_of(poses: PoseSubscriber, gateway: str) -> Sequence[object] | None:
+    """Return the numbers of the people before the cameras of a gateway, or of somebody's gateway; None: it
+    follows no people."""
+    health = poses.healths.get(room_of(gateway) or gateway)
+    people = None if health is None else health.statistics.get("people")
+    present = people.get("present") if isinstance(people, Mapping) else None
+    return present if isinstance(present, list) else None
+
+
+def room_of(gateway: str) -> str | None:
     """Return the name that people before the same cameras share; None for one who is not numbered."""
     found = _NUMBERED.fullmatch(gateway)
     return found[1] if found else None

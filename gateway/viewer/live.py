@@ -24,7 +24,7 @@ from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.assistant import Assistant
 from gateway.viewer.body_steps import BodySteps
 from gateway.viewer.check_tab import CheckTab
-from gateway.viewer.companions import Companions
+from gateway.viewer.companions import Companions, people_of, room_of
 from gateway.viewer.live_markers import LiveMarkers
 from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import (
@@ -88,6 +88,9 @@ class LiveViewer:
         self._settings = settings
         self._gateway = gateway
         self._takes_any = gateway == ANY_GATEWAY
+        self._room: str | None = None
+        """Gateway before whose cameras people come and go, each with a name of their own; None: it is not
+        known to be one, or any gateway will do."""
         self._loop = asyncio.get_running_loop()
         self._view = PoseView(gateway)
         self._latest: ReceivedPose | None = None
@@ -153,13 +156,17 @@ class LiveViewer:
             await asyncio.sleep(RETRY_S)
 
     async def _show(self) -> None:
-        subscriber = PoseSubscriber(self._settings, self._gateway, with_markers=True)
+        listened = self._gateway if not self._takes_any else ANY_GATEWAY
+        subscriber = PoseSubscriber(self._settings, listened, with_markers=True)
         async with subscriber as poses, asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._collect(poses), name="poses")
-            tasks.create_task(self._draw_for_ever(poses), name="pictures")
+            collecting = tasks.create_task(self._collect(poses), name="poses")
+            await self._draw_until_people(poses)
+            collecting.cancel()  # to listen to the people by their names
 
     async def _collect(self, poses: PoseSubscriber) -> None:
         async for received in poses:
+            if self._room is not None and room_of(received.gateway) != self._room:
+                continue
             is_gone = self._latest is not None and self._gateway not in poses.states
             if self._takes_any and (self._latest is None or is_gone):
                 self._gateway = received.gateway  # the first that gives poses, until its person has left
@@ -174,13 +181,17 @@ class LiveViewer:
                 if self._replayed is None:
                     self._panel.add_pose(received.pose)
 
-    async def _draw_for_ever(self, poses: PoseSubscriber) -> None:
+    async def _draw_until_people(self, poses: PoseSubscriber) -> None:
+        """Draw; until the one gateway that is listened to turns out to follow people."""
         picture = 0
         async for _ in pictures():
             # Texts are renewed less often than the body, as each change of them goes to every page.
             if picture % TEXTS_EVERY == 0:
                 self._take_choices()
                 self._take_gateway(poses)
+                if not self._takes_any and people_of(poses, self._gateway) is not None:
+                    self._room, self._takes_any = self._gateway, True
+                    return
                 self._show_texts(poses)
             self._take_body(poses.bodies.get(self._gateway))
             self._draw(poses.markers.get(self._gateway))
@@ -330,6 +341,8 @@ class LiveViewer:
             panel.show_status(
                 name, translated("compiling", name=awaited), *lines, is_alarm=False, is_busy=True
             )
+        elif not comes and people_of(poses, self._gateway) == []:
+            panel.show_status(name, translated("nobody"), is_alarm=False)
         elif age is None:
             begin = () if self._assistant is None else (translated("begin_here", tab=translated("tab")),)
             panel.show_status(translated("no_data"), translated("no_pose", name=name), *begin, is_alarm=True)

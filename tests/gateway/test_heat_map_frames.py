@@ -118,7 +118,7 @@ def test_films_that_are_served_again_are_taken_again(messages, suit):
     assert (instants(pipeline), statistics["begun_anew"], statistics["dropped"]) == (20, 1, {})
 
 
-def test_what_does_not_belong_is_dropped_and_counted(messages, suit):
+def test_what_does_not_belong_is_dropped_counted_and_logged_once(messages, suit, caplog):
     pipeline = pipeline_of(suit)
 
     def feed(**changes):
@@ -126,14 +126,20 @@ def test_what_does_not_belong_is_dropped_and_counted(messages, suit):
         content |= {"map_from_pixel": np.zeros((2, 3))} | changes
         pipeline.feed(Chunk(encode_heat_maps(HeatMapMessage(**content)), 10, LINK))
 
-    feed(camera="another")
+    for _ in range(3):
+        feed(camera="another")
     feed(network="openpose")
+    feed(person=2)
     for camera in CAMERAS:
         feed(camera=camera.name)
     feed(sequence=2)
     assert pipeline.statistics()["video"]["dropped"] == {
-        "unknown_camera": 1, "other_network": 1, "too_late": 1,
+        "unknown_camera": 3, "other_network": 1, "too_late": 1,
     }  # fmt: skip
+    first, second, third = caplog.messages
+    assert "camera 'another' is not in the rig: serve it with the --name of one (ring0, " in first
+    assert "sends keypoints of 'openpose', and the rig is for 'full'" in second
+    assert "camera 'ring0' tells of several people: set 'people' in the configuration" in third
 
 
 def test_a_subject_file_stands_in_a_rigs_place(suit, tmp_path):

@@ -27,10 +27,17 @@ _SAME_PERSON_M = 0.2
 would stand within each other."""
 _SAME_INSTANTS = 5
 """In a row, before two are taken for one."""
+_MOST_LOST = 0.7
+"""Share of the keypoints that the last instant did not show, above which somebody takes nothing out of
+others' maps: where they are is then a guess."""
+_UP_TO_DATE = 2
+"""Instants by which a solver may be behind when it is taken first: while its service starts, many wait, and
+going on as it went over all of them leads cameras astray."""
 _MEMORY = 30
 """Instants over which the share of keypoints that were lost is averaged."""
 _SURER = 0.1
-"""By which that share must be smaller for a person to be kept in the place of an earlier one."""
+"""By which that share must be smaller to count: for a person to be kept in the place of an earlier one, or
+the crowd's own tracker in the place of the solver's."""
 
 
 @dataclass
@@ -46,13 +53,21 @@ class _Followed:
     """Share of the keypoints, averaged."""
 
     def follow(self, frame: HeatMapFrame) -> None:
-        """Track the person in one more instant, unless the solver knows them."""
+        """Track the person in one more instant, unless the solver does."""
         self.sequence = frame.sequence
-        if self.solver is not None and self.solver.tracker.pose is not None:
-            self.tracker = self.solver.tracker
-        else:
+        solver = self.solver
+        if solver is None or self.tracker is not solver.tracker:
             self.tracker.track(frame.cameras)
+            if solver is not None and self._is_as_good(solver):
+                self.tracker = solver.tracker
         self.lost += (self.tracker.lost - self.lost) / _MEMORY
+
+    def _is_as_good(self, solver: VideoReconstructor) -> bool:
+        """Return whether a solver, which has begun by itself, has come near the last instant and shows as
+        much of the person."""
+        tracker = solver.tracker
+        is_up_to_date = self.sequence - solver.sequence <= _UP_TO_DATE
+        return tracker.pose is not None and is_up_to_date and tracker.lost < self.tracker.lost + _SURER
 
     def expected_after(self, instants: int) -> FloatArray | None:
         """Return (n_keypoints, 3) m, so many instants after the last one; None: not known."""
@@ -156,7 +171,11 @@ class VideoCrowd:
         if index in self.same_as:
             return replace(frame, cameras=(None,) * len(frame.cameras))
         own = expected[index]
-        others = [points for i, points in enumerate(expected) if i != index and points is not None]
+        others = [
+            points
+            for i, points in enumerate(expected)
+            if i != index and points is not None and self._people[i].tracker.lost <= _MOST_LOST
+        ]
         if own is None or not others:
             return frame
         maps = tuple(

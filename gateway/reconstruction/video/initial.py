@@ -161,14 +161,14 @@ def from_volume(
     NaN.
     """
     n = next(seen.likelihood.shape[0] for seen in maps if seen is not None)
-    k = int(np.ceil(half_width / cell))
+    k = int(np.ceil(half_width / cell)) + 1  # the faces do not count
     centres, spacing = np.where(is_wanted[:, None], centre, np.nan), np.full(n, cell)
     total = np.zeros((n, (2 * k + 1) ** 3))
     for model, seen in zip(models, maps, strict=True):
         if seen is not None:
             view = View(model, seen.likelihood, seen.map_from_pixel)
             add_likelihood(total, view, Lattices(centres, spacing, k), False)
-    return best_points(total, centres, spacing, k, False)
+    return best_points(total, centres, spacing, k)
 
 
 def within_person(points: FloatArray, sure: NDArray[np.bool_] | None = None) -> FloatArray:

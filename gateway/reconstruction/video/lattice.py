@@ -2,8 +2,7 @@
 
 Step 4 of JP2020-042476A: around where keypoint n is expected stand (2 k + 1)³ points with spacing s. Every
 point is projected into all cameras, the values of the part confidence maps (PCM) there are added, and the
-point with the largest sum is the candidate, or the middle of the 7-point cluster (a point and its six
-neighbours) with the largest sum.
+middle of the 7-point cluster (a point and its six neighbours) with the largest sum is the candidate.
 """
 
 from __future__ import annotations
@@ -136,12 +135,12 @@ def _cells_of_line(
 
 @compiled
 def best_points(
-    total: FloatArray, centres: FloatArray, spacing: FloatArray, k: int, cluster: bool
+    total: FloatArray, centres: FloatArray, spacing: FloatArray, k: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return the candidates (n_keypoints, 3) m of lattices, and their summed PCM (n_keypoints,).
 
-    cluster: by the sum over a point and its six neighbours (then only inner points count). Between the
-    points of the lattice the maximum is that of a parabola along each axis. Of points as likely as each
+    The sum over a point and its six neighbours counts, so that only inner points do. Between the points of
+    the lattice the maximum is that of a parabola along each axis. Of points as likely as each
     other, such as those along one camera's ray, the one nearest the middle is taken (``_NEARER``).
     """
     n = 2 * k + 1
@@ -150,9 +149,7 @@ def best_points(
     for m in range(len(centres)):
         if not np.isfinite(centres[m, 0]):
             continue
-        score = _nearer_preferred(total[m].reshape((n, n, n)), k)
-        if cluster:
-            score = _clustered(score)
+        score = _clustered(_nearer_preferred(total[m].reshape((n, n, n)), k))
         at = int(np.argmax(score))
         place = (at // (n * n), at // n % n, at % n)
         likelihood[m] = total[m, at]

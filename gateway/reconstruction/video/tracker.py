@@ -268,7 +268,7 @@ class KeypointTracker:
                 n_cameras += 1
                 view = lattice.View(model, seen.likelihood, seen.map_from_pixel)
                 lattice.add_likelihood(total, view, lattices, is_fine)
-        found, likelihood = lattice.best_points(total, centres, spacing, HALF_WIDTH, True)
+        found, likelihood = lattice.best_points(total, centres, spacing, HALF_WIDTH)
         found[likelihood < LEAST_MEAN * max(n_cameras, 1)] = np.nan
         return Sighting(found, likelihood)
 

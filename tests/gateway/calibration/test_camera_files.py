@@ -8,6 +8,7 @@ import pytest
 
 from gateway.body.camera import Camera, project
 from gateway.calibration.cameras_file import cameras_text, load_cameras
+from gateway.calibration.cameras_import import import_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.errors import SettingsError
 
@@ -111,18 +112,32 @@ def test_cameras_kilometres_apart_are_of_another_unit(tmp_path):
         load_cameras(path)
 
 
-def test_opencv_one_camera_a_file(tmp_path):
+def write_opencv(path):
     cv2 = pytest.importorskip("cv2")
-    path = tmp_path / "side.yml"
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     for key, value in {"image_width": 1280, "image_height": 720, "camera_matrix": CAMERA.matrix,
                        "distortion_coefficients": CAMERA.distortion, "R": CAMERA.rotation,
                        "T": CAMERA.translation}.items():  # fmt: skip
         storage.write(key, value)
     storage.release()
-    camera = load_cameras(path)[0]
+
+
+@pytest.mark.parametrize("ending", ["yml", "yaml", "xml"])
+def test_opencv_one_camera_a_file_or_a_folder_of_them(tmp_path, ending):
+    for name in ("side", "front"):
+        write_opencv(tmp_path / f"{name}.{ending}")
+    (tmp_path / "notes.yaml").write_text("of: something else\n")
+    (camera,) = load_cameras(tmp_path / f"side.{ending}")
     assert camera.name == "side"
     assert project(camera, POINTS) == pytest.approx(project(CAMERA, POINTS))
+    with pytest.raises(SettingsError, match="stand within 0 m"):  # both are at one place
+        load_cameras(tmp_path)
+    assert [each.name for each in import_cameras(tmp_path)] == ["front", "side"]
+
+
+def test_a_folder_without_calibrations_is_refused(tmp_path):
+    with pytest.raises(SettingsError, match="has no file of OpenCV's"):
+        load_cameras(tmp_path)
 
 
 def test_opencv_inner_and_outer_halves(tmp_path):
@@ -137,8 +152,16 @@ def test_opencv_inner_and_outer_halves(tmp_path):
         for key, value in content.items():
             storage.write(key, value)
         storage.release()
-    camera = load_cameras(tmp_path / "intri.yml")[0]
-    assert project(camera, POINTS) == pytest.approx(project(CAMERA, POINTS))
+    for place in (tmp_path / "intri.yml", tmp_path):
+        (camera,) = load_cameras(place)
+        assert project(camera, POINTS) == pytest.approx(project(CAMERA, POINTS))
+    (tmp_path / "extri.yml").unlink()
+    with pytest.raises(SettingsError, match=r"no matrix .*nor has extri.yml beside it"):
+        load_cameras(tmp_path / "intri.yml")
+
+
+def test_qualisys_under_another_name(tmp_path):
+    assert load_cameras(written(tmp_path, "cameras.xml", QUALISYS))[0].name == "c"
 
 
 @pytest.mark.parametrize(
@@ -154,7 +177,7 @@ def test_opencv_inner_and_outer_halves(tmp_path):
         ("c.qca.txt", "nothing", "no Qualisys calibration"),
         ("c.yml", "nothing", "OpenCV"),
         ("c.yaml", "cameras: []", "cameras"),
-        ("c.json", "{}", "end in"),
+        ("c.json", "{}", "no calibration of cameras"),
     ],
 )
 def test_a_file_that_is_wrong_is_told_in_one_line(tmp_path, name, text, told):

@@ -8,8 +8,10 @@ import pytest
 
 from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver, encode_heat_maps, quantised
 from gateway.body.camera import project
+from gateway.body.skeleton import VideoSetUp
 from gateway.cameras.consistency import consistency_of, in_step
 from gateway.cameras.synchronisation import synchronisation_of
+from gateway.cli.video_solve import Capture, Choice, _sorted_out
 from gateway.errors import GatewayError
 from tests.ring_of_cameras import CAMERAS
 
@@ -47,6 +49,11 @@ def messages(cameras, late=None):
     ]
 
 
+NOBODY = [
+    [encode_heat_maps(HeatMapMessage(c.name, "full", t, t, None, AFFINE)) for c in CAMERAS] for t in range(N)
+]
+
+
 def test_cameras_in_step_agree():
     found = consistency_of(CAMERAS, messages(CAMERAS))
     assert max(found.apart.values()) < 0.02
@@ -78,6 +85,25 @@ def test_cameras_are_put_in_step_by_what_is_found():
     after = consistency_of(CAMERAS, shifted)
     assert after.offsets == {}
     after.refuse_wrong(Path("c.yaml"))
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_whoever_is_seen_the_most_tells_whether_cameras_are_in_step(order):
+    """Somebody half hidden may seem to tell otherwise, and must not keep everybody from being solved."""
+    hidden = [
+        [*each[:2], *nobody[2:]] for each, nobody in zip(messages(CAMERAS, {"b": 5}), NOBODY, strict=True)
+    ]
+    people = [messages(CAMERAS), hidden][::order]
+    assert consistency_of(CAMERAS, hidden).offsets
+    capture = Capture(VideoSetUp(tuple(CAMERAS), "full"), people, 60.0)
+    found, checks = _sorted_out(capture, Choice(people="2"), Path("c.yaml"))
+    assert found == people
+    assert [bool(each.offsets) for each in checks] == [False, True][::order]
+    found, _ = _sorted_out(capture, Choice(people="2", synchronise=True), Path("c.yaml"))
+    assert found == people
+    late = Capture(capture.video, [messages(CAMERAS, {"b": 5}), hidden][::order], 60.0)
+    with pytest.raises(GatewayError, match="not synchronised"):
+        _sorted_out(late, Choice(people="2"), Path("c.yaml"))
 
 
 def test_a_camera_that_was_moved_is_named():

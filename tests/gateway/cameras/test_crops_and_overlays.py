@@ -106,7 +106,10 @@ def test_heat_maps_glow_where_they_are():
 
 
 def test_pictures_stand_side_by_side_with_even_sides():
-    row = side_by_side([np.zeros((100, 51, 3), np.uint8), np.zeros((300, 200, 3), np.uint8)], ["a", "b"], 151)
+    pictures = [np.zeros((100, 51, 3), np.uint8), np.zeros((300, 200, 3), np.uint8)]
+    row = side_by_side(pictures, ["a", "b"], 151, "walk_2  picture 812")
+    written = np.flatnonzero(row[-30:].any(axis=(0, 2)))
+    assert written.max() > 78, "the caption goes on below the second camera"
     assert row.shape[0] % 2 == row.shape[1] % 2 == 0
 
 

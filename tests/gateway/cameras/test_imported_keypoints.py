@@ -45,6 +45,13 @@ def _found(
     return found
 
 
+def _numbered() -> FloatArray:
+    """(17, 3) of somebody whose numbers tell which they are."""
+    person = np.arange(51.0).reshape(17, 3)
+    person[:, 2] = 0.5
+    return person
+
+
 def _folder(path: Path, people: list[list[FloatArray]]) -> Path:
     """Files of OpenPose's kind, a picture each; numbers without leading zeros."""
     path.mkdir()
@@ -54,7 +61,7 @@ def _folder(path: Path, people: list[list[FloatArray]]) -> Path:
     return path
 
 
-@pytest.mark.parametrize("n_keypoints", [17, 18, 25, 26, 133])
+@pytest.mark.parametrize("n_keypoints", [17, 18, 25, 26, 33, 133, 136])
 def test_every_layout_names_the_keypoints_of_its_set(n_keypoints: int) -> None:
     keypoint_set, layout = layout_of(n_keypoints, "there")
     assert len(layout) == n_keypoints
@@ -64,12 +71,14 @@ def test_every_layout_names_the_keypoints_of_its_set(n_keypoints: int) -> None:
 
 
 def test_an_unknown_number_of_keypoints_is_refused() -> None:
-    with pytest.raises(GatewayError, match="there: 21 keypoints a person: known are 17, 18, 25, 26, 133"):
+    with pytest.raises(
+        GatewayError, match="there: 21 keypoints a person: known are 17, 18, 25, 26, 33, 133, 136"
+    ):
         layout_of(21, "there")
 
 
 def test_files_of_both_kinds_are_read(tmp_path: Path) -> None:
-    person = np.arange(51.0).reshape(17, 3)
+    person = _numbered()
     folder = _folder(tmp_path / "a", [[person], [], *[[person + f] for f in range(9)]])
     read = read_keypoints(folder)
     assert (len(read.people), read.n_keypoints, len(read.people[1])) == (11, 17, 0)
@@ -83,12 +92,24 @@ def test_files_of_both_kinds_are_read(tmp_path: Path) -> None:
     assert [len(each) for each in read_keypoints(file).people] == [1, 0, 2]
     file.write_text(json.dumps({"annotations": results}))
     assert [len(each) for each in read_keypoints(file).people] == [1, 0, 2]
+    predictions = [
+        {
+            "frame_id": f,
+            "instances": [{"keypoints": (person[:, :2] + f).tolist(), "keypoint_scores": [0.5] * 17}] * n,
+        }
+        for f, n in ((1, 1), (2, 0), (4, 2))
+    ]
+    for content in (predictions, {"meta_info": {}, "instance_info": predictions}):
+        file.write_text(json.dumps(content))
+        read = read_keypoints(file)
+        assert [len(each) for each in read.people] == [1, 0, 0, 2]
+        np.testing.assert_array_equal(read.people[3][1], person + np.array([4, 4, 0]))
     assert [is_keypoints(str(each)) for each in (folder, file)] == [True, True]
     assert not is_keypoints(str(tmp_path / "film.mp4"))
 
 
 def test_pictures_without_a_file_show_nobody(tmp_path: Path) -> None:
-    person = np.arange(51.0).reshape(17, 3)
+    person = _numbered()
     folder = _folder(tmp_path / "a", [[person + f] for f in range(12)])
     for missing in (0, 1, 5):
         (folder / f"film2_{missing}_keypoints.json").unlink()
@@ -131,7 +152,11 @@ def test_a_camera_whose_first_pictures_show_nobody_stays_in_step(tmp_path: Path)
         ('[{"image_id": 1}]', "a person without pose_keypoints_2d or keypoints"),
         ('[{"image_id": 1, "keypoints": [1, 2]}]', "a person without"),
         ('[{"image_id": "first", "keypoints": [1, 2, 3]}]', "has no number"),
-        ('[{"image_id": 1, "keypoints": [1, 2, NaN]}]', "are no numbers"),
+        ('[{"image_id": 1, "keypoints": [1, 2, Infinity]}]', "infinite keypoints"),
+        ('[{"image_id": 1, "keypoints": [1, 2, NaN]}]', "no keypoint has a likelihood over 0"),
+        ('[{"image_id": 1, "keypoints": [1, 2, 95]}]', "of up to 95: 0 to 1 are wanted"),
+        ('[{"frame_id": 1, "instances": [{"keypoints": [[1, 2]]}]}]', "a person without"),
+        ('{"instance_info": [{"frame_id": 1, "instances": [1]}]}', "a person without"),
         ('{"people": []}', "nobody in any of 1 pictures"),
         (
             '{"people": [{"pose_keypoints_2d": [1,2,3]}, {"pose_keypoints_2d": [1,2,3,4,5,6]}]}',
@@ -144,6 +169,15 @@ def test_what_is_no_such_file_is_refused(tmp_path: Path, content: str, said: str
     file.write_text(content)
     with pytest.raises(FormatError, match=said):
         read_keypoints(file)
+
+
+@pytest.mark.parametrize("unknown", ["NaN", "null"])
+def test_keypoints_that_are_no_numbers_were_not_found(tmp_path: Path, unknown: str) -> None:
+    file = tmp_path / "a.json"
+    file.write_text(
+        '[{"image_id": 1, "keypoints": [1, 2, 0.5, UNKNOWN, 3, 0.9]}]'.replace("UNKNOWN", unknown)
+    )
+    np.testing.assert_array_equal(read_keypoints(file).people[0][0], [[1, 2, 0.5], [0, 0, 0]])
 
 
 @pytest.mark.timeout(600)
@@ -215,7 +249,9 @@ def test_what_are_no_pixels_of_the_calibrated_pictures_is_one_error(tmp_path, fa
 
 
 def test_nobody_whom_two_cameras_see_is_one_error(tmp_path: Path) -> None:
-    read = [read_keypoints(_folder(tmp_path / str(c), [[np.zeros((17, 3))]])) for c in range(4)]
+    face = np.zeros((17, 3))
+    face[0] = 500, 400, 0.9
+    read = [read_keypoints(_folder(tmp_path / str(c), [[face]])) for c in range(4)]
     with pytest.raises(GatewayError, match="no two cameras see"):
         keypoint_messages(CAMERAS, read, {}, 60.0, 1)
 

@@ -59,6 +59,19 @@ def test_the_walker_is_found_in_every_camera():
         assert np.linalg.norm(person.hips - project(seen_by, hips[[2, 0, 1]])) < 0.25 * person.radius
 
 
+def test_who_comes_beside_somebody_known_is_found_and_nobody_twice(picture):
+    network("full")
+    detector = PersonDetector(2)
+    known = detector.people(picture)[0]
+    twice = picture.copy()
+    twice[:, :440] = picture[:, 400:840]  # the walker once more, on the left
+    for shown, wanted in ((picture, False), (twice, True)):
+        found = detector.newcomers(shown, [known.region], 0)
+        away = [np.linalg.norm(each.hips - known.hips + (400, 0)) / known.radius for each in found]
+        assert any(each < 0.25 for each in away) == wanted
+        assert all(np.linalg.norm(each.hips - known.hips) > 0.25 * known.radius for each in found)
+
+
 @pytest.mark.parametrize("name", ["lite", "full", "heavy", "openpose"])
 def test_peaks_of_a_mirrored_picture_are_the_mirrored_peaks(name, picture, region):
     """To a fifth of a cell: half a cell off, as with the other convention, would show as one whole."""

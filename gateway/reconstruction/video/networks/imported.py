@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from gateway.errors import GatewayError
 from gateway.frames import CameraHeatMaps, FloatArray
+from gateway.reconstruction.video.networks.keypoints import BLAZEPOSE
 from gateway.reconstruction.video.networks.person_detector import Person
 from gateway.reconstruction.video.region import region_of_points
 
@@ -42,10 +43,13 @@ LAYOUTS: dict[int, tuple[str, tuple[str, ...]]] = {
     18: ("openpose_18", _OPENPOSE_18),
     25: ("feet_24", _OPENPOSE_25),
     26: ("feet_24", _HALPE_26),
+    33: ("blazepose_33", BLAZEPOSE),
     133: ("coco_23", (*_BODY, *_FEET, *[""] * 110)),
+    136: ("feet_24", (*_HALPE_26, *[""] * 110)),
 }
 """By the number of keypoints a person has: their set, and their names in order, empty for one left out.
-COCO, OpenPose's COCO and BODY_25, Halpe (the default of Pose2Sim), COCO-WholeBody."""
+COCO, OpenPose's COCO and BODY_25, Halpe (26 is the default of Pose2Sim, 136 is AlphaPose's whole body),
+BlazePose of MediaPipe, COCO-WholeBody."""
 
 
 def layout_of(n_keypoints: int, source: str) -> tuple[str, tuple[str, ...]]:
@@ -54,7 +58,7 @@ def layout_of(n_keypoints: int, source: str) -> tuple[str, tuple[str, ...]]:
     if n_keypoints not in LAYOUTS:
         raise GatewayError(
             f"{source}: {n_keypoints} keypoints a person: known are {', '.join(map(str, LAYOUTS))} (COCO, "
-            "OpenPose, Halpe, COCO-WholeBody)"
+            "OpenPose, Halpe, MediaPipe, COCO-WholeBody)"
         )
     return LAYOUTS[n_keypoints]
 

@@ -5,6 +5,7 @@ Bazarevsky et al. 2020; a single-shot detector over fixed anchors, weights of Me
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -16,7 +17,7 @@ from gateway.reconstruction.video.networks.cropping import cropped
 from gateway.reconstruction.video.networks.network import Picture
 from gateway.reconstruction.video.networks.tensors import FloatTensor, LiteModel
 from gateway.reconstruction.video.networks.weights import DETECTOR
-from gateway.reconstruction.video.region import PersonRegion, upright_region
+from gateway.reconstruction.video.region import ROOM, PersonRegion, upright_region
 
 _STRIDES = ((8, 2), (16, 2), (32, 6))
 """Pixels between anchors, and how many stand at each place."""
@@ -69,10 +70,20 @@ class PersonDetector:
             people.append(Person(score, hips, shoulders, float(np.linalg.norm(edge - hips))))
         return people
 
-    def windows(self, picture: Picture) -> list[PersonRegion | None]:
-        """Return the whole of a picture, None, and parts of it in which people are found who are small, or
-        beside somebody who fills it: the whole before each part, for it is looked at most."""
-        return [window for part in _parts(picture) for window in (None, part)]
+    def newcomers(self, picture: Picture, known: Sequence[PersonRegion], look: int) -> list[Person]:
+        """Return people beside the ``known`` ones, who are painted over, the likeliest first.
+
+        look: counts the looks; every other is at the whole of the picture, those between at one part of it
+        after the other, for whoever is small.
+        """
+        painted = picture.copy()
+        for region in known:
+            _paint_over(painted, region)
+        part, is_part = divmod(look, 2)
+        if not is_part:
+            return self.people(painted)
+        parts = _parts(picture)
+        return self.people(painted, parts[part % len(parts)])
 
     def everybody(self, picture: Picture, most: int) -> list[Person]:
         """Return as ``people`` does, and those beside somebody who fills the picture: looked for in parts of
@@ -80,14 +91,14 @@ class PersonDetector:
         people = self.people(picture)[:most]
         painted = picture.copy()
         for person in people:
-            _paint_over(painted, person)
+            _paint_over(painted, person.region)
         for _ in range(most - len(people)):
             found = [each for part in _parts(painted) for each in self.people(painted, part)]
             new = [each for each in found if not any(_is_same(each, other) for other in people)]
             if not new:
                 break
             people.append(max(new, key=lambda each: each.score))
-            _paint_over(painted, people[-1])
+            _paint_over(painted, people[-1].region)
         return people
 
 
@@ -102,12 +113,12 @@ def _parts(picture: Picture) -> list[PersonRegion]:
     ]
 
 
-def _paint_over(picture: Picture, person: Person) -> None:
-    """Draw a grey stroke from head to foot: neighbours stay in sight."""
-    up = person.shoulders - person.hips
-    reach = person.radius * up / max(float(np.linalg.norm(up)), 1e-6)
-    ends = [tuple(round(float(value)) for value in person.hips + way * reach) for way in (1.0, -1.0)]
-    cv2.line(picture, ends[0], ends[1], (128, 128, 128), round(_STROKE * person.radius))
+def _paint_over(picture: Picture, region: PersonRegion) -> None:
+    """Draw a grey stroke from head to foot of a person: neighbours stay in sight."""
+    radius = region.size / (2.0 * ROOM)
+    reach = radius * np.array([np.sin(region.roll), -np.cos(region.roll)])
+    ends = [tuple(round(float(value)) for value in region.centre + way * reach) for way in (1.0, -1.0)]
+    cv2.line(picture, ends[0], ends[1], (128, 128, 128), round(_STROKE * radius))
 
 
 def _is_same(person: Person, other: Person) -> bool:

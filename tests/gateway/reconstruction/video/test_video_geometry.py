@@ -51,8 +51,7 @@ def test_maps_are_linear_between_cells_and_zero_outside():
         assert lattice.bilinear(values, column, row) == lattice.smooth(values, column, row) == 0.0
 
 
-@pytest.mark.parametrize("cluster", [True, False])
-def test_lattices_close_in_on_a_keypoint(cluster):
+def test_lattices_close_in_on_a_keypoint():
     points = np.array([[0.10, -0.20, 1.20], [-0.30, 0.10, 0.60], [np.nan] * 3])
     centres, found = points + np.array([0.06, -0.05, 0.04]), None
     for s, is_fine in ((0.020, False), (0.004, True)):
@@ -61,7 +60,7 @@ def test_lattices_close_in_on_a_keypoint(cluster):
             maps = maps_of(camera, np.nan_to_num(points))
             view = lattice.View(model, maps.likelihood, maps.map_from_pixel)
             lattice.add_likelihood(total, view, lattice.Lattices(centres, spacing, 5), is_fine)
-        found, likelihood = lattice.best_points(total, centres, spacing, 5, cluster)
+        found, likelihood = lattice.best_points(total, centres, spacing, 5)
         centres = found
     np.testing.assert_allclose(found[:2], points[:2], atol=0.005)
     assert likelihood[0] > 3.0
