@@ -401,6 +401,8 @@ def solve(
     suffix = "" if method == "default" else f"_{method}"
     target = output or file.with_name(f"{file.stem}{suffix}.mcap")
     refuse_existing(target, force)
+    for name in to or []:
+        _check_export(target.with_suffix(FORMATS[name].suffix), file, name, force)
     trial = read_markers(file)
     _print_notes([trial])
     if up is None:
@@ -418,6 +420,16 @@ def solve(
         _print_solved(done)
     if to:
         export(target, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
+
+
+def _check_export(path: Path, trial: Path, name: str, force: bool) -> None:
+    """Raise ``GatewayError`` where an export would replace the trial, or another file without ``force``."""
+    if path.resolve() == trial.resolve():
+        raise GatewayError(
+            f"--to {name} would replace the trial {trial} itself: name the recording, and with it its "
+            f"exports, otherwise: -o {trial.stem}_solved.mcap"
+        )
+    refuse_existing(path, force)
 
 
 def play(
