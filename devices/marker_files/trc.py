@@ -41,9 +41,8 @@ def read_trc(path: Path) -> MarkerTrial:
             f"{path}: line 4: no tab between the markers' names: TRC columns are parted by tabs"
         )
     head = _head(lines, path)
-    begin = (
-        _HEAD_LINES - 1 if _FRAME_NUMBER.fullmatch(lines[_HEAD_LINES - 1].split("\t")[0].strip()) else _HEAD_LINES
-    )  # some leave out X1, Y1, …
+    first = lines[_HEAD_LINES - 1].split("\t")[0].strip()
+    begin = _HEAD_LINES - 1 if _FRAME_NUMBER.fullmatch(first) else _HEAD_LINES  # some leave out X1, Y1, …
     labels = without_prefixes([name for name in (x.strip() for x in lines[3].split("\t")[_LEADING:]) if name])
     rows, notes = _rows(lines, begin, 3 * len(labels), path)
     notes += further
