@@ -26,6 +26,7 @@ from gateway.cli.replay import Brake, for_playing, print_outcome, speed_of
 from gateway.cli.replay import play as play_link
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
+from gateway.outputs.settings import PoseMap
 from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
 from gateway.recording.exporters.formats import FORMATS, check_formats
@@ -497,8 +498,10 @@ def _played_settings(
     from gateway.recording.optical import optical_settings
 
     settings = optical_settings(subject[0], rate_hz, f"markers://{file.resolve()}")
+    # Markers are where they were seen: so is the body.
     changes: dict[str, object] = {
-        "bodies": [BodySettings(name=Path(each).stem, subject=each) for each in subject[1:]]
+        "bodies": [BodySettings(name=Path(each).stem, subject=each) for each in subject[1:]],
+        "mqtt": settings.mqtt.model_copy(update={"include": frozenset({PoseMap.POSITION})}),
     }
     if config is not None:
         given = load_gateway_settings(config)
