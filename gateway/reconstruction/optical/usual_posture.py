@@ -100,14 +100,14 @@ def _learned(shown: FloatArray, z: FloatArray, first: float) -> tuple[FloatArray
     n = z.shape[1]
     own = np.arange(n).reshape(-1, 3)
     blocks = own[:, :, None], own[:, None, :]
-    told = np.einsum("fij,fj->fi", shown, z)
+    evidence = np.einsum("fij,fj->fi", shown, z)
     centre = z.mean(axis=0)
     covariance = np.tile(FIRST_SIGMA**2 * np.eye(3), (n // 3, 1, 1))
     for _ in range(_ROUNDS):
         prior = np.zeros((n, n))
         prior[blocks] = np.linalg.inv(covariance)
         left = np.linalg.inv(shown + prior)
-        expected = np.einsum("fij,fj->fi", left, told + prior @ centre)
+        expected = np.einsum("fij,fj->fi", left, evidence + prior @ centre)
         centre = expected.mean(axis=0)
         away = (expected - centre).reshape(len(z), -1, 3)
         squares = np.einsum("fji,fjk->jik", away, away) + left.sum(axis=0)[blocks]
