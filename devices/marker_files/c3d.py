@@ -136,9 +136,13 @@ def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], pa
     scale = _number(parameters, "POINT:SCALE", float(header_scale))
     first, last = int(words[3]), int(words[4])
     n_frames = last - first + 1
+    actual = _actual_fields(parameters)
+    actual_count = actual[1] - actual[0] + 1
     if last == 0xFFFF or n_frames <= 0:  # more frames than the header can count
         n_frames = int(_number(parameters, "POINT:FRAMES", n_frames))
-        n_frames = int(_number(parameters, "POINT:LONG_FRAMES", _long_count(parameters) or n_frames))
+        n_frames = int(_number(parameters, "POINT:LONG_FRAMES", max(0, actual_count) or n_frames))
+    if actual_count == n_frames:
+        first = actual[0]
     n_points = int(_number(parameters, "POINT:USED", float(words[1])))
     start = int(_number(parameters, "POINT:DATA_START", float(words[8])))
     if n_points <= 0 or n_frames <= 0:
@@ -150,16 +154,17 @@ def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], pa
     return C3DLayout(n_points, int(words[2]), n_frames, scale, (start - 1) * BLOCK, processor, first)
 
 
-def _long_count(parameters: dict[str, Parameter]) -> int:
-    """Return the number of frames in Vicon's parameters, 32 bits in two words; 0 if they are not there."""
-    # The header's own count has 16 bits, which a long recording exceeds.
+def _actual_fields(parameters: dict[str, Parameter]) -> tuple[int, int]:
+    """Return the numbers of first and last frame in Vicon's parameters, 32 bits in two words; 1 and 0 if they
+    are not there."""
+    # The header's own numbers have 16 bits, which a long session exceeds.
     first, last = (
         parameters[name].numbers() if name in parameters else np.zeros(0)
         for name in ("TRIAL:ACTUAL_START_FIELD", "TRIAL:ACTUAL_END_FIELD")
     )
     if len(first) != 2 or len(last) != 2:
-        return 0
-    return max(0, int(last[0] + 65536 * last[1]) - int(first[0] + 65536 * first[1]) + 1)
+        return 1, 0
+    return int(first[0] + 65536 * first[1]), int(last[0] + 65536 * last[1])
 
 
 def _rows(content: bytes, layout: C3DLayout, path: Path) -> FloatArray:

@@ -12,7 +12,7 @@ from devices.marker_files.trial import METRES, FloatArray, MarkerTrial, label_no
 from devices.vendor_formats.sheets import FormatError, read_lines
 
 FIRST_WORD = "PathFileType"
-_FRAME_NUMBER = re.compile(r"\"?\d+([.,]0*)?\"?")
+_FRAME_NUMBER = re.compile(r"\"?-?\d+([.,]0*)?\"?")
 _HEAD_LINES = 5
 _LEADING = 2  # frame number, time
 _LATEST_S = 1e6
@@ -41,9 +41,8 @@ def read_trc(path: Path) -> MarkerTrial:
             f"{path}: line 4: no tab between the markers' names: TRC columns are parted by tabs"
         )
     head = _head(lines, path)
-    begin = (
-        _HEAD_LINES - 1 if lines[_HEAD_LINES - 1][:1].isdigit() else _HEAD_LINES
-    )  # some leave out X1, Y1, …
+    first = lines[_HEAD_LINES - 1].split("\t")[0].strip()
+    begin = _HEAD_LINES - 1 if _FRAME_NUMBER.fullmatch(first) else _HEAD_LINES  # some leave out X1, Y1, …
     labels = without_prefixes([name for name in (x.strip() for x in lines[3].split("\t")[_LEADING:]) if name])
     rows, notes = _rows(lines, begin, 3 * len(labels), path)
     notes += further

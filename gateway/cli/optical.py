@@ -26,6 +26,7 @@ from gateway.cli.replay import Brake, for_playing, print_outcome, speed_of
 from gateway.cli.replay import play as play_link
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
+from gateway.outputs.settings import PoseMap
 from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
 from gateway.recording.exporters.formats import FORMATS, check_formats
@@ -401,6 +402,8 @@ def solve(
     suffix = "" if method == "default" else f"_{method}"
     target = output or file.with_name(f"{file.stem}{suffix}.mcap")
     refuse_existing(target, force)
+    for name in to or []:
+        _check_export(target.with_suffix(FORMATS[name].suffix), file, name, force)
     trial = read_markers(file)
     _print_notes([trial])
     if up is None:
@@ -418,6 +421,16 @@ def solve(
         _print_solved(done)
     if to:
         export(target, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
+
+
+def _check_export(path: Path, trial: Path, name: str, force: bool) -> None:
+    """Raise ``GatewayError`` where an export would replace the trial, or another file without ``force``."""
+    if path.resolve() == trial.resolve():
+        raise GatewayError(
+            f"--to {name} would replace the trial {trial} itself: name the recording, and with it its "
+            f"exports, otherwise: -o {trial.stem}_solved.mcap"
+        )
+    refuse_existing(path, force)
 
 
 def play(
@@ -485,8 +498,10 @@ def _played_settings(
     from gateway.recording.optical import optical_settings
 
     settings = optical_settings(subject[0], rate_hz, f"markers://{file.resolve()}")
+    # Markers are where they were seen: so is the body.
     changes: dict[str, object] = {
-        "bodies": [BodySettings(name=Path(each).stem, subject=each) for each in subject[1:]]
+        "bodies": [BodySettings(name=Path(each).stem, subject=each) for each in subject[1:]],
+        "mqtt": settings.mqtt.model_copy(update={"include": frozenset({PoseMap.POSITION})}),
     }
     if config is not None:
         given = load_gateway_settings(config)

@@ -37,7 +37,7 @@ from gateway.stages.markers import MarkerStage
 LINK = "markers"
 CARRIES = "markers"
 _BEGUN_NS = 10**9
-"""Gateway time of 0 s of a trial's own time."""
+"""Gateway time of 0 s of a trial's own time, or of its first frame where that comes before."""
 _FASTEST_HZ = 4000.0
 _FEWEST_MARKERS = 3
 """Fewer show no pose of anything. Names that two marker sets share by chance are as few."""
@@ -114,7 +114,7 @@ def write_solved_trial(
     optical = stage.reconstructor
     fits = _Fits(trial.n_frames, markers)
     chunks = list(trial_chunks(trial, _begun_ns(trial), LINK))
-    with _writer(target, source, _begun_ns(trial), attachments_of(settings, suit)) as writer:
+    with _writer(target, source, trial, attachments_of(settings, suit)) as writer:
         frames, spent = solve_into(
             writer, pipeline, chunks, CARRIES, lambda index: fits.add(index, optical.last), progress
         )
@@ -148,7 +148,7 @@ def write_published_trial(
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
     attachments = attachments_of(settings, replace(suit, markers=solved.motion.markers))
     chunks = list(trial_chunks(trial, _begun_ns(trial), LINK))
-    with _writer(target, source, _begun_ns(trial), attachments, solved_by=PUBLISHED) as writer:
+    with _writer(target, source, trial, attachments, solved_by=PUBLISHED) as writer:
         frames = solved.frames([chunk.arrived_ns for chunk in chunks])
         for chunk, frame in zip(chunks, frames, strict=True):
             add_solved(writer, chunk, CARRIES, [frame])
@@ -178,7 +178,7 @@ def write_both_ways_trial(
     fits = _Fits(len(solved), markers)
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
     attachments = attachments_of(settings, suit)
-    with _writer(target, source, _begun_ns(trial), attachments, solved_by=BOTH_WAYS) as writer:
+    with _writer(target, source, trial, attachments, solved_by=BOTH_WAYS) as writer:
         for index, (chunk, frame) in enumerate(zip(chunks, solved, strict=True)):
             add_solved(writer, chunk, CARRIES, [frame])
             fits.add(index, frame.markers)
@@ -222,18 +222,23 @@ def _called(
     return markers, called
 
 
+def _origin_ns(trial: MarkerTrial) -> int:
+    """Return the gateway time of 0 s of a trial's own time."""
+    return _BEGUN_NS + max(0, -round(trial.begins_s * 1e9))
+
+
 def _begun_ns(trial: MarkerTrial) -> int:
-    """Gateway time of a trial's first frame; that of 0 s for one that begins long before it."""
-    begun_ns = _BEGUN_NS + round(trial.begins_s * 1e9)
-    return begun_ns if begun_ns >= 0 else _BEGUN_NS
+    """Return the gateway time of a trial's first frame."""
+    return _origin_ns(trial) + round(trial.begins_s * 1e9)
 
 
 @contextlib.contextmanager
 def _writer(
-    target: Path, source: Path, first_ns: int, attachments: Mapping[str, bytes], solved_by: str = ""
+    target: Path, source: Path, trial: MarkerTrial, attachments: Mapping[str, bytes], solved_by: str = ""
 ) -> Iterator[RecordingWriter]:
-    session = imported_session({LINK: CARRIES}, target, "optical", _BEGUN_NS, solved_by=solved_by)
+    origin_ns, first_ns = _origin_ns(trial), _begun_ns(trial)
+    session = imported_session({LINK: CARRIES}, target, "optical", origin_ns, solved_by=solved_by)
     kind = source.suffix.lstrip(".").lower()
-    with DerivedRecordingWriter(target, session, attachments, _BEGUN_NS) as writer:
+    with DerivedRecordingWriter(target, session, attachments, origin_ns) as writer:
         writer.add(fmt.EVENTS, first_ns, origin_event(kind, [source], first_ns))
         yield writer

@@ -1,9 +1,9 @@
-"""Other people before the same cameras, drawn beside the one that the page is about."""
+"""Others before the same cameras, or with markers in one room, drawn beside whom the page is about."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import viser
 
@@ -49,31 +49,38 @@ class _Companion:
 
 
 class Companions:
-    """A body, below its name, for each person who gives poses: ``lab_2`` and ``lab_3`` beside ``lab_1``."""
+    """A body, below its name, for each person who gives poses: ``lab_2`` and ``lab_3`` beside ``lab_1``, and of
+    people with markers ``lab_eve`` beside ``lab``."""
 
     def __init__(self, server: viser.ViserServer, stage: Stage) -> None:
         self._server, self._stage = server, stage
         self._latest: dict[str, ReceivedPose] = {}
         self._drawn: dict[str, _Companion] = {}
+        self._marked: frozenset[str] = frozenset()
 
     def add(self, received: ReceivedPose) -> None:
         """Take a pose of anybody."""
-        if _NUMBERED.fullmatch(received.gateway) and (
-            received.gateway in self._latest or len(self._latest) <= MOST
-        ):
-            self._latest[received.gateway] = received
+        name = received.gateway
+        is_wanted = name in self._marked or _NUMBERED.fullmatch(name) is not None
+        if is_wanted and (name in self._latest or len(self._latest) <= MOST):
+            self._latest[name] = received
 
-    def draw(self, beside: str, bodies: Mapping[str, BodyMessage]) -> None:
+    def draw(
+        self, beside: str, bodies: Mapping[str, BodyMessage], marked: Collection[str] = frozenset()
+    ) -> None:
         """Draw all but the person that the page is about, and remove whoever gives no poses any more.
 
-        beside: name of that person's gateway; bodies: by name, as they were published.
+        beside: name of that person's gateway; bodies: by name, as they were published; marked: names of those
+        that publish markers.
         """
+        self._marked = frozenset(marked)
         oldest_ns = gateway_time_ns() - round(STALE_AFTER_S * 1e9)
         self._latest = {name: each for name, each in self._latest.items() if each.received_ns > oldest_ns}
+        room = room_of(beside, marked)
         shown = {
             name: each
             for name, each in self._latest.items()
-            if name != beside and name in bodies and room_of(name) == room_of(beside)
+            if name != beside and name in bodies and room is not None and room_of(name, marked) == room
         }
         for name, companion in list(self._drawn.items()):
             if name not in shown or companion.body != bodies[name]:
@@ -94,7 +101,12 @@ def people_of(poses: PoseSubscriber, gateway: str) -> Sequence[object] | None:
     return present if isinstance(present, list) else None
 
 
-def room_of(gateway: str) -> str | None:
-    """Return the name that people before the same cameras share; None for one who is not numbered."""
+def room_of(gateway: str, marked: Collection[str] = frozenset()) -> str | None:
+    """Return the name that people before the same cameras, or with markers in one room, share.
+
+    marked: names of those that publish markers. None for one who is neither numbered nor marked.
+    """
+    if gateway in marked:
+        return min((each for each in marked if f"{gateway}_".startswith(f"{each}_")), key=len)
     found = _NUMBERED.fullmatch(gateway)
     return found[1] if found else None

@@ -195,7 +195,8 @@ class LiveViewer:
                 self._show_texts(poses)
             self._take_body(poses.bodies.get(self._gateway))
             self._draw(poses.markers.get(self._gateway))
-            self._companions.draw(self._gateway, {} if self._replayed is not None else poses.bodies)
+            bodies = {} if self._replayed is not None else poses.bodies
+            self._companions.draw(self._gateway, bodies, poses.markers)
             picture += 1
 
     def _take_gateway(self, poses: PoseSubscriber) -> None:

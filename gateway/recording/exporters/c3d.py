@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,9 @@ _POINT_BYTES = 4 * 4
 _ROTATION_BYTES = 17 * 4
 """A 4 × 4 matrix and how reliable it is."""
 _UNITS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
+_MOST_IN_HEADER = 2**16 - 1
+_WORDS = 2
+"""Type of parameters that are integers of 16 bits."""
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
@@ -48,7 +52,7 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     file.add_parameter("ANALOG", "RATE", [take.rate_hz])
     file.add_parameter("ROTATION", "LABELS", list(segments))
     file.add_parameter("ROTATION", "RATE", [take.rate_hz])
-    file["header"]["points"]["first_frame"] = max(0, round(take.begins_s * take.rate_hz))
+    _number_frames(file, take)
     file["data"]["points"] = _homogeneous(points)
     known = np.zeros((len(points), points.shape[1] - residuals.shape[1]))
     file["data"]["meta_points"]["residuals"] = np.concatenate([known, residuals], axis=1).T[None]
@@ -64,6 +68,23 @@ def _refuse_a_part(path: Path, data_bytes: int) -> None:
         first_block = int.from_bytes(file.read(18)[16:], "little")
     if path.stat().st_size < max(first_block - 1, 0) * _BLOCK_BYTES + data_bytes:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+def _number_frames(file: Any, take: Take) -> None:
+    """Number the frames, the one at 0 s as 1.
+
+    The header's numbers have 16 bits: later frames are counted from 1 there, and their numbers of 32 bits
+    stand in two words each under TRIAL, as Vicon writes them.
+    """
+    first = max(1, 1 + round(take.begins_s * take.rate_hz))
+    last = first + len(take.q_wb) - 1
+    if last < _MOST_IN_HEADER:
+        file["header"]["points"]["first_frame"] = first - 1  # the library counts from zero
+        return
+    for name, number in (("ACTUAL_START_FIELD", first), ("ACTUAL_END_FIELD", last)):
+        file.add_parameter("TRIAL", name, [0, 0])
+        words = np.array(divmod(number, 2**16))[::-1]
+        file["parameters"]["TRIAL"][name].update(type=_WORDS, value=words)
 
 
 def _homogeneous(points: FloatArray) -> FloatArray:

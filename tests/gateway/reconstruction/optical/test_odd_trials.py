@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.rig import load_rig
-from gateway.cli.optical import fit_doubts
+from gateway.cli.optical import fit_doubts, optical_app
 from gateway.errors import GatewayError
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.fitting import fit_body
@@ -96,6 +97,18 @@ def test_a_trial_that_shows_nothing_or_is_too_fast_is_not_solved(tmp_path):
         write_solved_trial(empty, source, suit, str(path), tmp_path / "a.mcap")
     with pytest.raises(GatewayError, match="9999 frames a second, of which 4000"):
         write_solved_trial(replace(empty, rate_hz=9999.0), source, suit, str(path), tmp_path / "b.mcap")
+
+
+@pytest.mark.parametrize("more", [[], ["--force"]])
+def test_an_export_never_replaces_the_trial(tmp_path, more):
+    subject, _, _ = subject_file(tmp_path, "z")
+    trial = tmp_path / "walk.trc"
+    trial.write_text("measured once")
+    done = CliRunner().invoke(
+        optical_app, ["solve", str(trial), "--subject", str(subject), "--to", "trc", *more]
+    )
+    assert "name the recording, and with it its exports, otherwise: -o walk_sol" in str(done.exception)
+    assert trial.read_text() == "measured once"
 
 
 def _only(trial: MarkerTrial, segments: tuple[str, ...]) -> MarkerTrial:

@@ -356,6 +356,18 @@ def test_a_take_made_from_a_file_keeps_the_files_own_time(tmp_path):
     assert int(first["gateway_time_ns"]) == ARRAYS.time_ns[0]
 
 
+@pytest.mark.parametrize("begins_s", [-3.0, 655.3, 50_000.0])
+def test_a_take_keeps_its_time_beyond_what_headers_count(tmp_path, begins_s):
+    """A C3D's header numbers frames by 16 bits, and no frame is before the first."""
+    late = replace(ARRAYS, origin_ns=int(ARRAYS.time_ns[0]) - round(begins_s * 1e9))
+    for name in ("trc", "c3d") if begins_s > 0 else ("trc",):
+        kind = FORMATS[name]
+        kind.write(take_of(late, "walk", kind.axes), tmp_path / f"walk{kind.suffix}", kind.units_per_m)
+        trial = read_markers(tmp_path / f"walk{kind.suffix}")
+        assert trial.begins_s == pytest.approx(begins_s)
+        assert trial.n_frames == FRAMES
+
+
 @pytest.mark.parametrize("rate_hz", [120.0, 60.0, 59.94, 29.97003, 300.0, 1000.0 / 3.0])
 def test_the_rate_of_whole_nanoseconds_is_exact(rate_hz):
     time_ns = np.round(np.arange(50) * 1e9 / rate_hz).astype(np.int64)
