@@ -49,8 +49,10 @@ class _Companion:
 
 
 class Companions:
-    """A body, below its name, for each person who gives poses: ``lab_2`` and ``lab_3`` beside ``lab_1``, and of
-    people with markers ``lab_eve`` beside ``lab``."""
+    """A body, below its name, for each person who gives poses: ``lab_2`` and ``lab_3`` beside ``lab_1``.
+
+    Of people with markers it is ``lab_eve`` beside ``lab``.
+    """
 
     def __init__(self, server: viser.ViserServer, stage: Stage) -> None:
         self._server, self._stage = server, stage
