@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records
@@ -37,7 +39,7 @@ from gateway.reconstruction.inertial.tree.tuning import Tuning
 from gateway.reconstruction.inertial.tree.update import Three
 
 UNOBSERVED = Heading.UNOBSERVED.value
-RATE = Validity.RATE.value
+NOTHING, RATE = Validity.NOTHING.value, Validity.RATE.value
 STARTED = Started.YES.value
 LEAST_APART = 1e-9
 """rad²."""
@@ -205,6 +207,7 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
     links, segments, works = body.segments, state.segments, work.segments
     _compare(links, segments, works, body.world.is_tree == 1, tuning)
     variance = _compass_variance(links, segments, works, tuning)
+    unseen = _turned_unseen(segments, works, tuning, dt)
     # (32) from leaves to root: what a segment and all beyond it say of its error
     for s in range(len(links) - 1, -1, -1):
         now, p = works[s], links[s].parent
@@ -233,7 +236,7 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
             compass.error = (above.error + now.expected + now.apart * now.information_angle) / total
             compass.error_variance = now.apart / total + above.error_variance / (total * total)
         elif variance > 0.0:
-            _turn_root(compass, now, variance, tuning, dt)
+            _turn_root(compass, now, variance, unseen, tuning, dt)
         else:
             compass.error = (now.expected + now.apart * now.information_angle) / total
             compass.error_variance = segments[s].P[2, 2]
@@ -323,11 +326,30 @@ def _compass_variance(
 
 
 @compiled
-def _turn_root(compass: Compass, now: SegmentWork, variance: float, tuning: Tuning, dt: float) -> None:
+def _turned_unseen(
+    segments: Records[Segment], works: Records[SegmentWork], tuning: Tuning, dt: float
+) -> float:
+    """Return the variance, rad², by which the body may have turned in this instant while nothing was heard.
+
+    It is 0 while any module is heard, or has been until a gap that is bridged: that one holds the headings of
+    all.
+    """
+    least = np.inf
+    for s in range(len(segments)):
+        if segments[s].started == STARTED:
+            is_seen = works[s].validity > NOTHING or segments[s].silent_s < tuning.longest_bridge_s
+            least = min(least, 0.0 if is_seen else works[s].density * dt)
+    return least if least < np.inf else 0.0
+
+
+@compiled
+def _turn_root(
+    compass: Compass, now: SegmentWork, variance: float, unseen: float, tuning: Tuning, dt: float
+) -> None:
     """Set ``compass.error`` and ``error_variance`` of a root, and so of its whole chain, equation (34).
 
-    The error follows at once while headings of the chain are being found; later only as fast as the gyroscope
-    may drift, and hardly at all where the field is wrong.
+    The error follows at once while headings of the chain are being found, and by what the body may have
+    turned unseen; else only as fast as the gyroscope may drift, and hardly at all where the field is wrong.
     """
     # the building's field is off for all alike too
     field = variance + 1.0 / now.information
@@ -338,8 +360,14 @@ def _turn_root(compass: Compass, now: SegmentWork, variance: float, tuning: Tuni
     compass.error_variance = compass.share * field
     wanted = now.expected + compass.share * (now.information_angle / now.information - now.expected)
     compass.settled_s += dt
+    kept = compass.unseen_square * math.exp(-dt / tuning.heading_memory_s) + unseen
+    compass.unseen_square = min(kept, tuning.unknown_heading**2)
     if compass.settled_s > tuning.compass_settles_s:
         off = wanted - compass.error
-        largest = (math.sqrt(compass.rate_variance) + abs(off) / tuning.compass_finds_s) / (1.0 + wrong) * dt
-        wanted = compass.error + min(max(off, -largest), largest)
+        drift = (math.sqrt(compass.rate_variance) + abs(off) / tuning.compass_finds_s) * dt
+        unseen_turn = math.sqrt(compass.unseen_square)
+        largest = (drift + unseen_turn) / (1.0 + wrong)
+        turn = min(max(off, -largest), largest)
+        compass.unseen_square = max(unseen_turn - max(abs(turn) - drift, 0.0), 0.0) ** 2
+        wanted = compass.error + turn
     compass.error = wanted

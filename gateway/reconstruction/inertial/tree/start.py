@@ -127,7 +127,7 @@ def start_compass(compass: Compass, tuning: Tuning) -> None:
     compass.variance, compass.rate_variance = tuning.unknown_heading**2, tuning.bias**2
     compass.scatter, compass.offset_square = tuning.compass_scatter**2, tuning.start_heading**2
     compass.error, compass.error_variance, compass.settled_s = 0.0, tuning.unknown_heading**2, 0.0
-    compass.share = 0.0
+    compass.share, compass.unseen_square = 0.0, 0.0
 
 
 @compiled

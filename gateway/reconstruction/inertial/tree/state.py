@@ -151,6 +151,7 @@ class Compass(Record):
     error_variance: float
     settled_s: float  # of a root: for how long no heading of its chain has been shown anew
     share: float  # of a root: of what its compasses say, where the filter says the rest
+    unseen_square: float  # of a root: by which all of its body may have turned unseen, lately, rad²
 
 
 class HeadingSums(Record):
