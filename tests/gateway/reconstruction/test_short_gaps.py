@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gateway.emulation.fast_arm import Switches, fast_arm, fast_motion, sampled
 from gateway.frames import ImuFrame, Status
@@ -98,3 +99,24 @@ def test_a_module_that_was_silent_in_full_swing_finds_back_to_its_neighbours(fra
             truth = fast_motion(SUIT, SEED).state(np.array([pose.time_ns * 1e-9])).q_wb
             found.append(orientation_error(pose.q_wb[np.newaxis], truth).inclination.max())
     assert np.degrees(np.median(found)) < 9.0
+
+
+def test_a_lone_module_that_turned_unseen_turns_back_to_the_field_at_once():
+    """Only as fast as gyroscopes drift it took a minute."""
+    rate, times_s = np.array([0.0, 0.0, 2.0]), np.arange(0.0, 14.0, 0.01)
+    frames = []
+    for k, t in enumerate(times_s):
+        back = Rotation.from_rotvec(-rate * t)
+        is_lost = np.arange(len(SUIT.module_ids)) != 0
+        is_lost[0] = 8.0 < t < 8.7
+        force, turn, field = (
+            np.where(is_lost[:, np.newaxis], np.nan, value)
+            for value in (back.apply(-SUIT.gravity), rate, back.apply(SUIT.magnetic_field))
+        )
+        status = np.where(is_lost, Status.MISSING.value, Status.MEASURED.value).astype(np.uint8)
+        frames.append(ImuFrame(k, round(t * 1e9), force, turn, field, status, np.zeros(len(status))))
+    poses = JointReconstructor(SUIT, 0.01).update_many(frames)
+    found = Rotation.from_quat(np.stack([pose.q_wb[0] for pose in poses]), scalar_first=True)
+    off_deg = np.degrees((found * Rotation.from_rotvec(-np.outer(times_s, rate))).magnitude())
+    assert off_deg[(times_s > 7.0) & (times_s < 8.0)].max() < 1.0
+    assert off_deg[times_s > 12.0].max() < 10.0
