@@ -10,6 +10,7 @@ import numpy as np
 from gateway.frames import FloatArray, ImuFrame, IntArray, SunSight
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
+from gateway.reconstruction.inertial.tree.start import turn_heading_sums
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Heading,
@@ -80,8 +81,16 @@ def follow_sun(body: Body, state: State, tuning: Tuning, work: Work, dt: float) 
     across = math.hypot(world[0], world[1])
     for s in range(n):
         now = work.segments[s]
+        now.is_settled = 0
         if now.validity >= RATE and math.isfinite(now.sun[0] + now.sun_sigma + across):
             _follow_sun(state.segments[s], now, world, tuning, dt)
+    for s in range(n):
+        # of a root they turn with all its turns, see ``turn_segments``
+        p, sums = body.segments[s].parent, state.segments[s].heading_sums
+        if p >= 0 and work.segments[s].is_settled:
+            turn_heading_sums(sums, work.segments[s].turn[2])
+        if p >= 0 and work.segments[p].is_settled:
+            turn_heading_sums(sums, -work.segments[p].turn[2])
 
 
 @compiled
@@ -98,7 +107,7 @@ def _follow_sun(segment: Segment, now: SegmentWork, world: FloatArray, tuning: T
     if segment.heading == UNOBSERVED or heading_variance > tuning.sun_unsure**2:
         angle = _steady_turn(segment.sun, off, tuning, dt)
         if angle != 0.0:
-            now.turn[2] = angle
+            now.turn[2], now.is_settled = angle, 1
             segment.heading = OBSERVED
             add_own(now.evidence, (0.0, 0.0, 1.0), 0.0, variance)
         return

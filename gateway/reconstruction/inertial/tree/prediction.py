@@ -214,13 +214,13 @@ def propagate_own(P: FloatArray, R: FloatArray, dt: float) -> None:
 def turn_segments(body: Body, state: State, work: Work) -> None:
     """Turn each segment by its ``turn``, equation (1): R ← exp([δ]×) R.
 
-    All averages and readings that are kept in world axes turn with it, and what motion has shown of headings.
+    All averages and readings that are kept in world axes turn with it, and what devices have shown of a root's
+    heading. What motion has shown of others is against neighbours, who mostly turn alike.
     """
     segments, works = state.segments, work.segments
     for s in range(len(segments)):
-        p = body.segments[s].parent
-        above = works[p].turn[2] if p >= 0 else 0.0
-        turn_heading_sums(segments[s].heading_sums, works[s].turn[2] - above)
+        if body.segments[s].parent < 0:
+            turn_heading_sums(segments[s].heading_sums, works[s].turn[2])
     for s in range(len(segments)):
         now, segment = works[s], segments[s]
         if _is_turn(now.turn):

@@ -337,6 +337,7 @@ class SegmentWork(Record):
     sharing: int  # of a first segment: how many of its chain have a sample
     is_before: int  # 1: turns back, since that segment is known better
     is_beyond: int  # 1: turns with the segment whose heading was shown
+    is_settled: int  # 1: the sun has just shown its heading
     density: float  # of the gyroscope's noise, (rad/s)²/Hz
     information: float  # by compasses of the segment and those beyond, of its heading's error: weight, 1/rad²
     information_angle: float  # and weight times angle, 1/rad
