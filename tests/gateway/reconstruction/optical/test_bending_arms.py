@@ -128,7 +128,7 @@ def test_elbows_lie_inside_lateral_markers_on_both_sides(
     side: str, outwards: float, flexion_deg: float
 ) -> None:
     shoulder, elbow = np.array([[0.0, 0.0, 1.4]]), np.array([[0.0, 0.0, 1.1]])
-    marker = elbow + [0.0, 0.045 * outwards, 0.0]
+    marker = elbow + np.array([0.0, 0.045 * outwards, 0.0])
     bent = np.radians(flexion_deg)
     wrist = elbow + 0.25 * np.array([np.sin(bent), 0.0, -np.cos(bent)])
     found = point_rules.right_triangle(shoulder, marker, wrist, 0.045, side)
