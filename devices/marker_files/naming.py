@@ -9,11 +9,13 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from shlex import quote
 
 from devices.marker_files.trial import MarkerTrial
 from devices.vendor_formats.sheets import FormatError
 
-_PREFIX = re.compile(r"([^:_.\s-]+)[:_.\s-]+(.+)")
+_PREFIX = re.compile(r"([^:]+(?=:)|[^:_.\s-]+)[:_.\s-]+(.+)")
+"""What precedes a colon, blanks and all (``Anna Lee:LASI``); else the first word."""
 _PERSON_BEHIND = re.compile(r"(.+)[:_.\s-]+([^:_.\s-]+)")
 _SIDES = frozenset({"l", "r", "left", "right"})
 _SIDE = re.compile(r"(?:(left|right)[\W_]+)?(.+?)(?:[\W_]+(left|right|l|r))?", re.IGNORECASE)
@@ -186,7 +188,8 @@ def _prefix_of(
         return owner
     if len(people) > 1:
         raise FormatError(
-            f"{source}: markers of {' and '.join(people)}: tell whose are meant with --person {people[0]}"
+            f"{source}: markers of {' and '.join(people)}: tell whose are meant with --person "
+            f"{quote(people[0])}"
         )
     return people[0] if people else None
 

@@ -159,7 +159,7 @@ def _row(line: str, number: int, n_values: int, path: Path, texts: list[str]) ->
     if len(fields) != n_values:
         raise FormatError(
             f"{path}: line {number}: {len(fields)} coordinates where {n_values} are wanted: "
-            "three a marker that line 4 names"
+            "three a marker that line 4 names: export it again"
         )
     values = [_value(field) for field in fields]
     own = [field.strip() for field, value in zip(fields, values, strict=True) if value is None]

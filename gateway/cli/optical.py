@@ -281,6 +281,11 @@ def fit_doubts(found: Fit) -> list[str]:
             f"{' and '.join(found.backwards)} bend backwards: left and right are exchanged in the markers' "
             "names, or an axis of the file points the other way (a mirrored world)"
         )
+    if found.is_still:
+        doubts.append(
+            "nothing moves in the trials: joints are where rules have them, and skin where it is in this one "
+            "posture; name a trial with motion too"
+        )
     doubts += [
         f"{trial}: markers of one segment are {ratio:.2f} times as far apart as in the first trial: another "
         "person, or another unit than the file tells"

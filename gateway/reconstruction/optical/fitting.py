@@ -131,7 +131,9 @@ class Fit:
     other_axes: Mapping[str, str] = field(default_factory=dict)
     """Trials in which another axis points up than in the first, and which: they were turned."""
     backwards: tuple[str, ...] = ()
-    """Joints that bend only to the side to which they cannot."""
+    """Joints that bend only to the side to which they cannot, or whose segments are turned about."""
+    is_still: bool = False
+    """Whether nothing moves in any of the trials."""
 
 
 def by_lacking(too_few: Mapping[str, tuple[str, ...]]) -> dict[str, list[str]]:
@@ -212,6 +214,7 @@ def fit_body(
         other_sizes=other_sizes(marker_set, trials),
         other_axes=other_axes,
         backwards=bent_backwards(marker_set.body, final, done.poses),
+        is_still=all(_largest_stray(sighting.markers) < _STILL for sighting in sightings),
     )
 
 

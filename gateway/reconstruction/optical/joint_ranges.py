@@ -22,6 +22,8 @@ MARGIN = np.radians(10.0)
 _HARDLY = np.radians(15.0)
 _BACKWARDS = np.radians(35.0)
 _FEWEST_POSES = 5
+_TURNED_ABOUT = np.radians(150.0)
+"""From the neutral posture: farther than hips and ankles go, nearer than those of a mirror's world."""
 _OUTLIERS = 2.0
 """Percent of the frames at either end that do not count."""
 
@@ -50,7 +52,8 @@ def shown_joints(
 
 def bent_backwards(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) -> tuple[str, ...]:
     """Return the joints, left and right, that by the body file hardly bend to one side, and in the poses bend
-    to that side only: left and right are exchanged, or the world is a mirror's."""
+    to that side only: left and right are exchanged, or the world is a mirror's. Where none bends, those whose
+    segments are turned about against one another."""
     rows = {int(distal): row for row, distal in enumerate(model.distals)}
     found = []
     for joint in skeleton.joints:
@@ -69,8 +72,25 @@ def bent_backwards(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) 
         bent, other = (-low, high) if is_forward else (high, -low)
         if bent > _BACKWARDS and other < _HARDLY:
             found.append(joint.name)
-    both = {name.replace("left_", "right_") for name in found if name.startswith("left_")}
-    return tuple(name for name in found if name.replace("left_", "right_") in both.intersection(found))
+    return _on_both_sides(found) or _on_both_sides(_turned_about(skeleton, poses))
+
+
+def _on_both_sides(names: Sequence[str]) -> tuple[str, ...]:
+    both = {name.replace("left_", "right_") for name in names if name.startswith("left_")}
+    return tuple(name for name in names if name.replace("left_", "right_") in both.intersection(names))
+
+
+def _turned_about(skeleton: Skeleton, poses: Sequence[Pose]) -> list[str]:
+    """Return the joints that by the body file stay within ``_TURNED_ABOUT``, and in most poses do not."""
+    R = np.stack([pose.R for pose in poses])
+    found = []
+    for joint in skeleton.joints:
+        if np.abs([angle.limits for angle in joint.angles]).max(initial=0.0) >= _TURNED_ABOUT:
+            continue
+        trace = np.einsum("kij,kij->k", R[:, joint.proximal], R[:, joint.distal])
+        if np.median(trace) < 1.0 + 2.0 * np.cos(_TURNED_ABOUT):
+            found.append(joint.name)
+    return found
 
 
 def _angles(model: BodyModel, row: int, poses: Sequence[Pose]) -> FloatArray:

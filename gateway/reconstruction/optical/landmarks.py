@@ -314,7 +314,7 @@ def _below_line(at: Landmarks, rule: BelowLine) -> FloatArray:
 
 def _right_triangle(at: Landmarks, rule: RightTriangle) -> FloatArray:
     points = at.point(rule.proximal), at.point(rule.marker), at.point(rule.distal)
-    return rules.right_triangle(*points, at.inside(rule.width))
+    return rules.right_triangle(*points, at.inside(rule.width), rule.side)
 
 
 _APPLY: dict[str, Callable[..., FloatArray]] = {

@@ -144,12 +144,13 @@ class BelowLine(_Strict):
 
 
 class RightTriangle(_Strict):
-    """A point half a width beside a marker, across the plane of two bones."""
+    """A point half a width inside a lateral marker, across the plane of two bones."""
 
     proximal: str
     marker: str
     distal: str
     width: Length
+    side: Side = Field(description="of an elbow or ankle; the other one for a knee, which bends backward")
 
 
 class PointRule(_Strict):

@@ -194,16 +194,19 @@ def below_line(point: FloatArray, line: tuple[FloatArray, FloatArray], fraction:
 
 
 def right_triangle(
-    proximal: FloatArray, marker: FloatArray, distal: FloatArray, half_width: float
+    proximal: FloatArray, marker: FloatArray, distal: FloatArray, half_width: float, side: str
 ) -> FloatArray:
     """Return the centre beside a marker, half the joint's width away, at a right angle to the line to the
     proximal joint.
 
     The elbow, knee and ankle of CN1766831A: marker, centre and proximal joint make a right-angled triangle in
     the plane across the two bones that meet there. As ``chord``, with that plane's normal in place of a wand.
+
+    side: left or right, of a joint that bends forward; the other one for a knee. The marker is lateral.
     """
-    normal = np.cross(unit(marker - proximal), unit(distal - marker))
-    return chord(proximal, marker, marker + normal, half_width)
+    # Both sides bend forward about an axis to the right, which is outwards on the right side alone.
+    to_right = np.cross(unit(marker - proximal), unit(distal - marker))
+    return chord(proximal, marker, marker + (to_right if side == "right" else -to_right), half_width)
 
 
 def frame_axes(

@@ -128,6 +128,11 @@ def fitting_set(trials: Sequence[MarkerTrial], person: str | None = None) -> Mar
             best, most = marker_set, score
     if most[0] < _ENOUGH <= named:
         raise GatewayError(_never_seen(trials[0], named, most[0]))
+    if not any(label and not label.startswith("*") for label in trials[0].labels):
+        raise GatewayError(
+            f"{trials[0].name}: none of its {len(trials[0].labels)} points has a name: name the markers in "
+            "the program that recorded them, and export the trial again"
+        )
     if best is None or most[0] < _ENOUGH:
         raise GatewayError(
             f"{trials[0].name}: its markers are those of no shipped set ({', '.join(names)}): it has "

@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from devices.marker_files import read_markers
 from gateway.body.rig import load_body
 from gateway.emulation import optical_truth
 from gateway.emulation.optical_truth import SimulatedTrial, placed_markers, simulated
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
+from gateway.reconstruction.optical import point_rules
 from gateway.reconstruction.optical.anchoring import turns_to_bending
 from gateway.reconstruction.optical.bundle import _loose
 from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
 from gateway.reconstruction.optical.joint_ranges import shown_joints
+from gateway.reconstruction.optical.landmarks import landmarks_of, measurements
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.pose_solver import FIXED_SIGMA, BodyModel, Pose, body_model
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.worn_markers import worn_part
 from tests.gateway.reconstruction.optical.test_optical_gaps import _markers
 
+DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[5] / "shared" / "data"))
+TRIAL = DATA / "trc_opensim" / "subject01_static.trc"
 BODY = load_body("human_17")
 ARM, FOREARM = BODY.index("left_upper_arm"), BODY.index("left_forearm")
 
@@ -113,3 +120,28 @@ def _off_deg(fitted: Fit, seen: SimulatedTrial, name: str) -> float:
     found = Rotation.from_quat([reconstructor.update(f).q_wb[s] for f in frames], scalar_first=True)
     apart = Rotation.from_quat(seen.q_wb[chosen, s], scalar_first=True).inv() * found
     return float(np.degrees(np.sqrt(((apart.mean().inv() * apart).magnitude() ** 2).mean())))
+
+
+@pytest.mark.parametrize(("side", "outwards"), [("left", 1.0), ("right", -1.0)])
+@pytest.mark.parametrize("flexion_deg", [40.0, 90.0, 140.0])
+def test_elbows_lie_inside_lateral_markers_on_both_sides(
+    side: str, outwards: float, flexion_deg: float
+) -> None:
+    shoulder, elbow = np.array([[0.0, 0.0, 1.4]]), np.array([[0.0, 0.0, 1.1]])
+    marker = elbow + np.array([0.0, 0.045 * outwards, 0.0])
+    bent = np.radians(flexion_deg)
+    wrist = elbow + 0.25 * np.array([np.sin(bent), 0.0, -np.cos(bent)])
+    found = point_rules.right_triangle(shoulder, marker, wrist, 0.045, side)
+    assert np.linalg.norm(found - elbow) < 0.025  # the marker beside the bones turns their plane a little
+    assert outwards * (found - marker)[0, 1] < -0.03
+
+
+@pytest.mark.skipif(not TRIAL.is_file(), reason="no recordings: set MOCAP_DATA")
+def test_rules_bend_both_elbows_of_a_standing_person_forward() -> None:
+    marker_set, trial = load_marker_set("opensim_41"), read_markers(TRIAL)
+    measured = measurements(marker_set, [trial], {})
+    axes = landmarks_of(marker_set, trial, "y", measured).places().axes[::50]
+    for side in ("left", "right"):
+        arm, forearm = BODY.index(f"{side}_upper_arm"), BODY.index(f"{side}_forearm")
+        ahead = np.einsum("fi,fi->f", axes[:, arm, :, 0], -axes[:, forearm, :, 1])
+        assert (ahead > 0.2).all()

@@ -71,6 +71,25 @@ def test_knees_that_bend_backwards_are_doubted(walk, change):
 
 
 @needs_data
+def test_exchanged_sides_of_somebody_who_only_stands_are_doubted():
+    trial = read_markers(DATA / "c3d_pycgm" / "Static_trial.c3d")
+    trial = replace(trial, positions=trial.positions[::60])
+    other = {"L": "R", "R": "L"}
+    odd = replace(trial, labels=tuple(other.get(label[:1], label[:1]) + label[1:] for label in trial.labels))
+    as_it_is = fit_body(fitting_set([trial]), [trial])
+    assert as_it_is.backwards == ()
+    assert ["nothing moves" in doubt for doubt in fit_doubts(as_it_is)] == [True]
+    assert set(fit_body(fitting_set([odd]), [odd]).backwards) >= {"left_hip", "right_hip"}
+
+
+@needs_data
+def test_points_without_names_are_to_be_named_where_they_were_recorded(walk):
+    odd = replace(walk, labels=tuple(f"*{m}" for m in range(len(walk.labels))))
+    with pytest.raises(GatewayError, match=r"none of its .* points has a name: name the markers"):
+        fitting_set([odd])
+
+
+@needs_data
 def test_a_person_of_fifteen_centimetres_is_refused_with_the_unit_that_fits(walk):
     small = replace(walk, positions=0.1 * walk.positions)
     with pytest.raises(

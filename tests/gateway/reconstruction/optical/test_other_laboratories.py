@@ -158,6 +158,13 @@ def test_a_subject_finds_its_own_persons_markers_among_two() -> None:
         spellings(labels, [f"Ann:{label}" for label in LEGS])
 
 
+def test_a_persons_name_may_hold_blanks_before_its_colon() -> None:
+    labels = [f"{person}:{label}" for person in ("Mr A", "Ms B") for label in LEGS]
+    with pytest.raises(FormatError, match="--person 'Mr A'"):
+        spellings(labels, LEGS)
+    assert spellings(labels, LEGS, person="Ms B") == {f"Ms B:{label}": label for label in LEGS}
+
+
 def test_another_persons_markers_do_not_stand_in_for_the_chosen_ones() -> None:
     labels = ("Bob:LASI", "Bob:RASI", "Eve:LASI", "Eve:RASI")
     places = np.arange(12.0).reshape(1, 4, 3)
