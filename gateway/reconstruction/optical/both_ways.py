@@ -1,8 +1,9 @@
 """A whole trial of a fitted subject, with gaps bridged from both sides. Offline: it wants all frames.
 
 The streaming method goes first. What it cannot know is how joints turned while too few markers were seen,
-and where markers are right after it. So all poses are found once more, together; names are questioned by what
-came of it, and the poses found again with those.
+and where markers are right after it. So all poses are found once more, together; then again, joints drawn to
+what they usually do in the trial; names are questioned by what came of it, and the poses found again with
+those.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from gateway.frames import FloatArray, MarkerFrame, SkeletonFrame
 from gateway.reconstruction.optical.pose_solver import Held, Pose
 from gateway.reconstruction.optical.reconstructor import Named, OpticalReconstructor
 from gateway.reconstruction.optical.tracking import NEAR
+from gateway.reconstruction.optical.usual_posture import unknown_posture, usual_posture
 from gateway.reconstruction.optical.whole_motion import bridged, found_together
 
 Progress = Callable[[int, int], None]
@@ -60,14 +62,19 @@ def solve_both_ways(
     times_s = np.concatenate([[0.0], np.cumsum(np.maximum(steps, _SHORTEST_S))])
     model, within = forward.model, frames[span]
 
+    posture = unknown_posture(len(model.parents), len(within))
+
     def found(
         begun: tuple[FloatArray, FloatArray], named: Sequence[Named], scales: tuple[float, ...], before: int
     ) -> tuple[FloatArray, FloatArray]:
         done = None if progress is None else lambda count: progress(before + count, 3 * len(frames))
         seen = np.array([positions for positions, _ in named])
-        return found_together(model, times_s, seen, begun, scales, done)
+        return found_together(model, times_s, seen, begun, scales, posture, done)
 
     motion = found(bridged(model.parents, times_s, poses[span]), named[span], (_WIDE, NEAR), len(frames))
+    seen = np.array([positions for positions, _ in named[span]])
+    posture = usual_posture(model, times_s, seen, motion, NEAR)
+    motion = found(motion, named[span], (NEAR,), len(frames))
     again = OpticalReconstructor(skeleton, markers)
     questioned = [again.named(frame, *pose) for frame, *pose in zip(within, *motion, strict=True)]
     motion = found(motion, questioned, (NEAR,), 2 * len(frames))

@@ -38,6 +38,14 @@ class Differences(NamedTuple):
     place_weight: FloatArray  # (D,) for m / s^order
 
 
+class Posture(NamedTuple):
+    """What a person's joints usually do: every joint's mean turn, and how far it is from that."""
+
+    mean: FloatArray  # (S, 3, 3) in the parent's axes
+    precision: FloatArray  # (S, 3, 3) 1/rad², of the turn from the mean in the segment's axes
+    weights: FloatArray  # (F,) how much each frame counts
+
+
 class Motion(NamedTuple):
     """Poses of F frames, of which those from ``free`` on may move."""
 
@@ -48,9 +56,15 @@ class Motion(NamedTuple):
 
 @compiled
 def motion_cost(
-    model: BodyModel, observed: FloatArray, scale: float, motion: Motion, differences: Differences
+    model: BodyModel,
+    observed: FloatArray,
+    scale: float,
+    motion: Motion,
+    differences: Differences,
+    posture: Posture,
 ) -> float:
-    """Return what markers, joints and motion cost together. observed: (F, M, 3) m; scale: see ``Seen``."""
+    """Return what markers, joints, motion and posture cost together. observed: (F, M, 3) m; scale: see
+    ``Seen``."""
     total = 0.0
     nobody = np.zeros(observed.shape[1])
     for f in range(motion.free, len(observed)):
@@ -63,7 +77,11 @@ def motion_cost(
                 c = max(scale, 4.0 * model.sigmas[m])
                 total += 0.5 * (r / model.sigmas[m]) ** 2 / (1.0 + (r / c) ** 2)
         total += normal_equations(model, observed[f], nobody, R, p)[2]
-    joints = _joint_turns(model.parents, motion.R)
+    joints = joint_turns(model.parents, motion.R)
+    for f in range(motion.free, len(observed)):
+        for s in range(joints.shape[1]):
+            u = rm.increment(posture.mean[s], joints[f, s])
+            total += 0.5 * posture.weights[f] * dot(u, rm.rotate(posture.precision[s], u))
     for d in range(len(differences.first)):
         for s in range(joints.shape[1]):
             e = _difference(joints, differences, d, s)
@@ -75,7 +93,12 @@ def motion_cost(
 
 @compiled
 def assembled(
-    model: BodyModel, observed: FloatArray, scale: float, motion: Motion, differences: Differences
+    model: BodyModel,
+    observed: FloatArray,
+    scale: float,
+    motion: Motion,
+    differences: Differences,
+    posture: Posture,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the normal equations of the free frames' changes, n = (3 + 3 S) each.
 
@@ -96,7 +119,9 @@ def assembled(
             right[at + i] += g[i]
             for j in range(i, n):
                 band[at + i, j - i] += H[i, j]
-    joints = _joint_turns(model.parents, motion.R)
+    joints = joint_turns(model.parents, motion.R)
+    for f in range(free, len(observed)):
+        _add_posture(band, right, motion, joints, posture, f)
     for d in range(len(differences.first)):
         _add_places(band, right, motion, differences, d, n)
         for s in range(joints.shape[1]):
@@ -116,7 +141,7 @@ def stepped(model: BodyModel, motion: Motion, change: FloatArray) -> Motion:
 
 
 @compiled
-def _joint_turns(parents: IntArray, R: FloatArray) -> FloatArray:
+def joint_turns(parents: IntArray, R: FloatArray) -> FloatArray:
     """Return (F, S, 3, 3) every segment in its parent's axes, the root in the world's."""
     turns = R.copy()
     for f in range(len(R)):
@@ -134,6 +159,33 @@ def _difference(joints: FloatArray, differences: Differences, d: int, s: int) ->
     for k in range(count):
         e += differences.factors[d, k] * rm.increment(joints[first + count // 2, s], joints[first + k, s])
     return e
+
+
+@compiled
+def _by_turn_in_world(u: FloatArray, R: FloatArray) -> FloatArray:
+    """Return how a chart's vector u changes by a turn in the world of the segment at R: the inverse right
+    Jacobian, to first order."""
+    jacobian = 0.5 * skew(u)
+    for i in range(3):
+        jacobian[i, i] += 1.0
+    return rm.multiply(jacobian, R.T.copy())
+
+
+@compiled
+def _add_posture(
+    band: FloatArray, right: FloatArray, motion: Motion, joints: FloatArray, posture: Posture, f: int
+) -> None:
+    n = 3 + 3 * joints.shape[1]
+    for s in range(joints.shape[1]):
+        row = (f - motion.free) * n + 3 + 3 * s
+        u = rm.increment(posture.mean[s], joints[f, s])
+        J = _by_turn_in_world(u, motion.R[f, s])
+        drawn = posture.weights[f] * rm.multiply(J.T.copy(), posture.precision[s])
+        H, pull = rm.multiply(drawn, J), rm.rotate(drawn, u)
+        for i in range(3):
+            right[row + i] -= pull[i]
+            for j in range(i, 3):
+                band[row + i, j - i] += H[i, j]
 
 
 @compiled
@@ -178,11 +230,7 @@ def _add_turns(
     for k in range(count):
         u = rm.increment(joints[first + count // 2, s], joints[first + k, s])
         e += differences.factors[d, k] * u
-        # How the chart's vector changes by a turn in the world: the inverse right Jacobian, to first order.
-        jacobian = 0.5 * skew(u)
-        for i in range(3):
-            jacobian[i, i] += 1.0
-        jacobians[k] = differences.factors[d, k] * rm.multiply(jacobian, motion.R[first + k, s].T.copy())
+        jacobians[k] = differences.factors[d, k] * _by_turn_in_world(u, motion.R[first + k, s])
     for a in range(count):
         row = (first + a - motion.free) * n + 3 + 3 * s
         if row < 0:

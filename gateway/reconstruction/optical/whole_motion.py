@@ -17,6 +17,7 @@ from gateway.reconstruction.optical.motion_kernels import (
     REACH,
     Differences,
     Motion,
+    Posture,
     assembled,
     motion_cost,
     stepped,
@@ -64,12 +65,13 @@ def found_together(
     observed: FloatArray,
     begun: tuple[FloatArray, FloatArray],
     scales: tuple[float, ...],
+    posture: Posture,
     done: Done | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return R (F, S, 3, 3) and the root's places (F, 3) m that explain all frames best, near those given.
 
     observed: (F, M, 3) m, NaN where not seen; scales: m, distances at which a marker begins to lose its say,
-    one after the other.
+    one after the other; posture: what joints are drawn to.
     """
     R, roots = begun[0].copy(), begun[1].copy()
     for first, end, kept in _windows(len(times_s)):
@@ -77,7 +79,10 @@ def found_together(
         motion = Motion(R[fixed:end], roots[fixed:end], first - fixed)
         differences = _differences(times_s[fixed:end], motion.free)
         for scale in scales:
-            motion = _settled(model, np.ascontiguousarray(observed[fixed:end]), scale, motion, differences)
+            motion = _settled(
+                model, np.ascontiguousarray(observed[fixed:end]), scale, motion, differences,
+                posture._replace(weights=posture.weights[fixed:end]),
+            )  # fmt: skip
         R[first:end], roots[first:end] = motion.R[motion.free :], motion.root[motion.free :]
         if done is not None:
             done(kept)
@@ -95,7 +100,12 @@ def _windows(n: int) -> Iterator[tuple[int, int, int]]:
 
 
 def _settled(
-    model: BodyModel, observed: FloatArray, scale: float, motion: Motion, differences: Differences
+    model: BodyModel,
+    observed: FloatArray,
+    scale: float,
+    motion: Motion,
+    differences: Differences,
+    posture: Posture,
 ) -> Motion:
     """Return the motion at the least cost.
 
@@ -104,14 +114,14 @@ def _settled(
     """
     from scipy.linalg import solveh_banded  # noqa: PLC0415 - takes a moment to import
 
-    cost = motion_cost(model, observed, scale, motion, differences)
+    cost = motion_cost(model, observed, scale, motion, differences, posture)
     for _ in range(_MOST_STEPS):
-        band, right = assembled(model, observed, scale, motion, differences)
+        band, right = assembled(model, observed, scale, motion, differences, posture)
         band[:, 0] += _FLOOR
         change = solveh_banded(band.T, right, lower=True, overwrite_ab=True, check_finite=False)
         share = 1.0
         moved = stepped(model, motion, change)
-        while not (after := motion_cost(model, observed, scale, moved, differences)) < cost:
+        while not (after := motion_cost(model, observed, scale, moved, differences, posture)) < cost:
             share *= _SHORTER
             if share < _SHORTEST:
                 return motion

@@ -214,8 +214,8 @@ def propagate_own(P: FloatArray, R: FloatArray, dt: float) -> None:
 def turn_segments(body: Body, state: State, work: Work) -> None:
     """Turn each segment by its ``turn``, equation (1): R ← exp([δ]×) R.
 
-    All averages and readings that are kept in world axes turn with it, and what devices have shown of a root's
-    heading. What motion has shown of others is against neighbours, who mostly turn alike.
+    All averages and readings that are kept in world axes turn with it, and what devices have shown of
+    a root's heading. What motion has shown of others is against neighbours, who mostly turn alike.
     """
     segments, works = state.segments, work.segments
     for s in range(len(segments)):

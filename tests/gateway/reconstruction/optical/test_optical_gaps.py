@@ -8,17 +8,19 @@ from scipy.spatial.transform import Rotation
 
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_body
+from gateway.emulation.optical_truth import cut_gaps
 from gateway.frames import FloatArray, MarkerFrame, Status
 from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm
-from gateway.reconstruction.optical import kernels, point_rules
+from gateway.reconstruction.optical import both_ways, kernels, point_rules
 from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.bundle import _loose
 from gateway.reconstruction.optical.carrying import Carrying
-from gateway.reconstruction.optical.motion_kernels import Motion, assembled, motion_cost, stepped
+from gateway.reconstruction.optical.motion_kernels import Motion, Posture, assembled, motion_cost, stepped
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.tracking import start_pose
+from gateway.reconstruction.optical.usual_posture import INDEPENDENT_S, unknown_posture, usual_posture
 from gateway.reconstruction.optical.whole_motion import _differences
 
 BODY = load_body("human_17")
@@ -131,13 +133,18 @@ def test_the_equations_of_a_motion_are_the_slope_of_its_cost() -> None:
     observed += generator.normal(0.0, 0.002, observed.shape)
     observed[generator.random(observed.shape[:2]) < 0.3] = np.nan
     motion, differences = Motion(R, root, 3), _differences(times, 3)
-    _, right = assembled(model, observed, 1.0, motion, differences)
+    spread = generator.normal(0.0, 5.0, (BODY.n_segments, 3, 3))
+    posture = Posture(
+        Rotation.from_rotvec(generator.normal(0.0, 0.05, (BODY.n_segments, 3))).as_matrix(),
+        spread @ np.swapaxes(spread, 1, 2), generator.uniform(0.5, 2.0, 7),
+    )  # fmt: skip
+    _, right = assembled(model, observed, 1.0, motion, differences, posture)
     slope = np.empty_like(right)
     for i in range(len(right)):
         step = np.zeros(len(right))
         step[i] = 1e-6
         costs = [
-            motion_cost(model, observed, 1.0, stepped(model, motion, each), differences)
+            motion_cost(model, observed, 1.0, stepped(model, motion, each), differences, posture)
             for each in (step, -step)
         ]
         slope[i] = (costs[0] - costs[1]) / 2e-6
@@ -163,6 +170,52 @@ def test_a_limb_that_hides_is_bridged_by_the_least_jerk(length: int) -> None:
     solved, _ = solve_both_ways(BODY, markers, frames)
     found = np.array([quaternion.to_matrix(each.q_wb[leg[1]]) for each in solved])
     assert _apart_deg(found, R[:, leg[1]])[gap].max() < (1.5 if length == 20 else 15.0)
+
+
+def test_feet_of_two_markers_are_nearer_for_what_they_usually_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What they leave open is the roll about the line between them, and the more so without the shank."""
+    every = _markers()
+    feet = [BODY.index(f"{side}_foot") for side in ("left", "right")]
+    dropped = [np.flatnonzero(every.segments == foot)[2] for foot in feet]
+    markers = BodyMarkers(
+        tuple(np.delete(every.labels, dropped)), np.delete(every.segments, dropped),
+        np.delete(every.positions, dropped, axis=0), np.delete(every.sigmas, dropped),
+    )  # fmt: skip
+    R = _waving(250)
+    generator = np.random.default_rng(4)
+    observed = np.array([_seen(body_model(BODY, markers), each) for each in R])
+    observed += generator.normal(0.0, 0.004, observed.shape)
+    cut_gaps(observed, 0.5, 100.0, generator, first=20)
+    frames = [MarkerFrame(f, f * STEP_NS, seen) for f, seen in enumerate(observed)]
+
+    def away() -> float:
+        solved, _ = solve_both_ways(BODY, markers, frames)
+        apart = []
+        for foot in feet:
+            found = np.array([quaternion.to_matrix(each.q_wb[foot]) for each in solved])
+            apart.append(_apart_deg(found, R[:, foot]))
+        return float(np.sqrt(np.mean(np.square(apart))))
+
+    drawn = away()
+    monkeypatch.setattr(both_ways, "usual_posture", lambda *_: unknown_posture(BODY.n_segments, len(frames)))
+    assert drawn < 0.9 * away()
+
+
+def test_joints_are_learned_from_what_is_seen_of_them() -> None:
+    """The hand waves by 0.57 rad (RMS) about one axis, and not about the others; half of all points are
+    missing."""
+    markers = _markers()
+    model = body_model(BODY, markers)
+    R = _waving(400)
+    observed = np.array([_seen(model, each) for each in R])
+    cut_gaps(observed, 0.5, 100.0, np.random.default_rng(2))
+    root = np.tile([0.0, 0.0, 0.95], (400, 1))
+    posture = usual_posture(model, 0.01 * np.arange(400), observed, (R, root), 1.0)
+    assert np.degrees(np.linalg.norm(rm.increment(posture.mean[HAND], R[0, HAND - 1].T @ R[0, HAND]))) < 6.0
+    sigmas = np.sqrt(np.linalg.eigvalsh(np.linalg.inv(posture.precision[HAND])))
+    assert sigmas[2] == pytest.approx(0.57, rel=0.1)
+    assert np.degrees(sigmas[:2]).max() < 3.0
+    assert posture.weights.sum() == pytest.approx(4.0 / INDEPENDENT_S, rel=0.01)
 
 
 def test_a_trial_longer_than_a_stretch_has_no_seams() -> None:
