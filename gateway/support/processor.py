@@ -5,6 +5,9 @@ its functions for AVX-512, and OpenBLAS (below NumPy and SciPy) has kernels for 
 differ in the last bits. ``settle`` has all three take the same on every processor that can, by environment
 variables that they read when they are imported; so it runs when ``gateway`` is imported. What is set already
 stays. A processor that lacks one of the instructions gets what the libraries choose for it.
+
+OpenBLAS is held to one thread on any processor: matrices here are small, threads that wait for each other
+took three times as long, and the order of sums would follow from their number.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from typing import NamedTuple
 
 CPU_NAME, CPU_FEATURES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"
 NUMPY_WITHOUT, BLAS_KERNELS = "NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE"
+BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 NATIVE = "native"
 """Name of the target where kernels are compiled for the processor that runs them."""
 
@@ -69,7 +73,8 @@ def settle(
     cpuinfo: Path = Path("/proc/cpuinfo"),
 ) -> None:
     """Set what the libraries read, where this processor has the target's instructions and no other target is
-    asked for. Has no effect on a library that was imported before."""
+    asked for, and one thread of OpenBLAS. Has no effect on a library that was imported before."""
+    environment.setdefault(BLAS_THREADS, "1")
     target = TARGETS.get(machine or os.uname().machine)
     if target is None or CPU_NAME in environment or not target.flags <= processor_flags(cpuinfo):
         return

@@ -11,6 +11,7 @@ import pytest
 
 from gateway.support.processor import (
     BLAS_KERNELS,
+    BLAS_THREADS,
     CPU_FEATURES,
     CPU_NAME,
     NATIVE,
@@ -21,6 +22,7 @@ from gateway.support.processor import (
     target_name,
 )
 
+ONE_THREAD = {BLAS_THREADS: "1"}
 HASWELL = "fpu sse4_2 ssse3 popcnt avx avx2 bmi1 bmi2 f16c fma abm movbe"
 
 
@@ -38,7 +40,7 @@ def cpuinfo(tmp_path):
 def test_processors_of_all_makers_are_settled_alike(cpuinfo, more):
     environment = {}
     settle(environment, "x86_64", cpuinfo(f"{HASWELL} {more}"))
-    assert environment == TARGETS["x86_64"].environment
+    assert environment == TARGETS["x86_64"].environment | ONE_THREAD
     assert target_name(environment) == "x86-64-v3"
 
 
@@ -46,7 +48,7 @@ def test_processors_of_all_makers_are_settled_alike(cpuinfo, more):
 def test_a_processor_that_lacks_an_instruction_takes_what_it_has(cpuinfo, lacks):
     environment = {}
     settle(environment, "x86_64", cpuinfo(HASWELL.replace(f" {lacks}", "")))
-    assert environment == {}
+    assert environment == ONE_THREAD
     assert target_name(environment) == NATIVE
 
 
@@ -56,16 +58,16 @@ def test_arm_and_unknown_machines(cpuinfo, tmp_path):
     settle(unknown, "riscv64", cpuinfo("rv64gc", "isa"))
     settle(unreadable, "x86_64", tmp_path / "absent")
     assert raspberry[CPU_NAME] == "generic"
-    assert unknown == unreadable == {}
+    assert unknown == unreadable == ONE_THREAD
 
 
 def test_what_the_user_chose_stays(cpuinfo):
     environment = {CPU_NAME: "znver5"}
     settle(environment, "x86_64", cpuinfo(HASWELL))
-    assert environment == {CPU_NAME: "znver5"}
-    environment = {BLAS_KERNELS: "Zen"}
+    assert environment == {CPU_NAME: "znver5"} | ONE_THREAD
+    environment = {BLAS_KERNELS: "Zen", BLAS_THREADS: "4"}
     settle(environment, "x86_64", cpuinfo(HASWELL))
-    assert environment[BLAS_KERNELS] == "Zen"
+    assert (environment[BLAS_KERNELS], environment[BLAS_THREADS]) == ("Zen", "4")
     assert CPU_FEATURES in environment
 
 
