@@ -94,12 +94,22 @@ def read_ring_chain5(trial: Path, kind: str = "rigid", root_marker: int | None =
 
 def read_broad(path: Path) -> Recording:
     """Read a BROAD trial (.mat): module 1 at 285.714 Hz, optical orientation and position at its instants."""
-    trial = loadmat(path, squeeze_me=True)
+    trial = _matlab(path)
     times: FloatArray = np.arange(len(trial["imu_acc"]), dtype=np.float64) * _BROAD_INTERVAL_S
     module = ModuleTrack(1, "module", times, trial["imu_acc"], trial["imu_gyr"], trial["imu_mag"])
     reference = ReferenceTrack("module", times, trial["opt_quat"])
     local = LocalTrack(LOCAL_DEVICE, "module", times, POSITION, trial["opt_pos"], _OPTICAL_SIGMA_M)
     return Recording(f"broad_{path.stem}", 1.0 / _BROAD_INTERVAL_S, (module,), (reference,), (local,))
+
+
+def _matlab(path: Path) -> dict[str, Any]:
+    """Return the variables of a MATLAB file. Raises ``OSError`` and ``ValueError``."""
+    try:
+        return dict(loadmat(path, squeeze_me=True))
+    except OSError:
+        raise
+    except Exception as error:  # the library raises whatever bytes of no such file lead it to
+        raise ValueError(f"no MATLAB file: {error}") from error
 
 
 def read_repoimu_tstick(path: Path) -> Recording:

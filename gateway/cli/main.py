@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import logging
 import os
 import sys
@@ -13,6 +12,7 @@ import typer
 import gateway
 from gateway.cli.lazy_commands import LazyCommand, LazyGroup
 from gateway.errors import GatewayError
+from gateway.support.whole_files import remedy_of
 
 
 class _Commands(LazyGroup):
@@ -236,21 +236,10 @@ def _user_errors() -> tuple[type[Exception], ...]:
     return GatewayError, DeviceError, LinkError
 
 
-_REMEDIES: dict[int | None, str] = {
-    errno.ENOENT: "name a place that exists, or make the folder first",
-    errno.ENOTDIR: "a part of the path is a file: name another place",
-    errno.EISDIR: "that is a folder: name a file in it",
-    errno.EACCES: "you may not write there: name another place, or change its permissions",
-    errno.EPERM: "you may not write there: name another place, or change its permissions",
-    errno.EROFS: "that disk cannot be written: name another place",
-    errno.ENOSPC: "the disk is full: make room, or name another place",
-    errno.EDQUOT: "your share of the disk is used up: make room, or name another place",
-}
-
-
 def _file_trouble(error: Exception) -> str | None:
     """Return a line about a file that cannot be used, with what to do; None for any other error."""
-    if not isinstance(error, OSError) or error.errno not in _REMEDIES:
+    remedy = remedy_of(error) if isinstance(error, OSError) else None
+    if not isinstance(error, OSError) or remedy is None:
         return None
     place = next((str(name) for name in (error.filename2, error.filename) if name is not None), "a file")
-    return f"{place}: {os.strerror(error.errno or 0)}: {_REMEDIES[error.errno]}"
+    return f"{place}: {os.strerror(error.errno or 0)}: {remedy}"

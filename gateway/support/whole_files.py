@@ -11,6 +11,22 @@ from pathlib import Path
 
 from gateway.errors import GatewayError
 
+_REMEDIES: dict[int | None, str] = {
+    errno.ENOENT: "name a place that exists, or make the folder first",
+    errno.ENOTDIR: "a part of the path is a file: name another place",
+    errno.EISDIR: "that is a folder: name a file in it",
+    errno.EACCES: "you may not write there: name another place, or change its permissions",
+    errno.EPERM: "you may not write there: name another place, or change its permissions",
+    errno.EROFS: "that disk cannot be written: name another place",
+    errno.ENOSPC: "the disk is full: make room, or name another place",
+    errno.EDQUOT: "your share of the disk is used up: make room, or name another place",
+}
+
+
+def remedy_of(error: OSError) -> str | None:
+    """Return what to do about a file that cannot be used; None where that is not known."""
+    return _REMEDIES.get(error.errno)
+
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
@@ -18,7 +34,9 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise GatewayError(f"{path} cannot be written: {error.strerror}") from error
+        remedy = remedy_of(error)
+        what_to_do = "" if remedy is None else f": {remedy}"
+        raise GatewayError(f"{path} cannot be written: {error.strerror}{what_to_do}") from error
 
 
 def write_whole(path: Path, content: bytes, mode: int | None = None) -> None:

@@ -99,7 +99,7 @@ def test_help_has_an_example_for_every_command():
             yield " ".join(words)
         if isinstance(command, click.Group):
             context = click.Context(command)
-            for name in command.list_commands(context):
+            for name in command.commands:
                 yield from without(command.get_command(context, name), [*words, name])
 
     assert list(without(typer.main.get_command(app), ["mocap-gateway"])) == []
@@ -253,7 +253,10 @@ def test_a_recording_is_played_as_if_modules_sent_it(
 def test_wrong_recordings_are_one_line(tmp_path):
     broken = tmp_path / "broken.mat"
     broken.write_bytes(os.urandom(200))
+    almost = tmp_path / "almost.mat"
+    almost.write_bytes(bytes(124) + b"\0\1IM" + b"\xff" * 72)  # the head of a MATLAB file, and then none
     for path, kind, said in (
+        (almost, "broad", "almost.mat cannot be read as broad: no MATLAB file"),
         (tmp_path / "absent.mat", "broad", "absent.mat cannot be read as broad"),
         (broken, "broad", "broken.mat cannot be read as broad"),
         (broken, "brod", r"--format brod: unknown \(did you mean 'broad'"),

@@ -20,9 +20,7 @@ INDEPENDENT_S = 1.0
 """Time after which a posture counts as another one, s: about that in which a rate is forgotten. A gap of half
 a second is so hardly half a draw: markers seen on either side of it tell more, where they tell anything."""
 FIRST_SIGMA = np.radians(10.0)
-"""Of every joint, before anything is known of it, rad."""
-_FIRST_S = 0.05
-"""Time that the trial must show a joint to say as much of it as ``FIRST_SIGMA`` does, s."""
+"""Of every joint, before anything is known of it, rad: counts as one posture."""
 _MOST_FRAMES = 500
 _ROUNDS = 20
 _ROOT = 6
@@ -62,11 +60,19 @@ def usual_posture(
     shown = np.array([_shown(free, observed[f], R[f], roots[f], scale) for f in chosen])
     rows = np.concatenate([3 + 3 * joints[:, None] + np.arange(3)], axis=1).ravel()
     step_s = float(np.median(np.diff(times_s[chosen]))) if len(chosen) > 1 else 1.0
-    centre, covariance = _learned(_of_joints(shown, rows), z.reshape(len(chosen), -1), _FIRST_S / step_s)
+    centre, covariance = _learned(_of_joints(shown, rows), z.reshape(len(chosen), -1), INDEPENDENT_S / step_s)
     precision = np.zeros((len(model.parents), 3, 3))
-    precision[joints] = np.linalg.inv(covariance)
+    postures = 1.0 + (times_s[-1] - times_s[0]) / INDEPENDENT_S
+    precision[joints] = np.linalg.inv(_predicted(postures) * covariance)
     mean[joints] = mean[joints] @ Rotation.from_rotvec(centre).as_matrix()
     return Posture(mean, precision, np.gradient(times_s) / INDEPENDENT_S)
+
+
+def _predicted(n: float) -> float:
+    """Return by how much one more posture is spread wider than n postures, of which mean and covariance are
+    learned: the scale of Student's distribution in three dimensions (Gelman et al., Bayesian Data Analysis,
+    2013, section 3.6)."""
+    return (n + 1.0) / max(n - 2.0, 1.0)
 
 
 @compiled

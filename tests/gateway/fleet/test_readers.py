@@ -119,4 +119,4 @@ async def test_a_node_that_is_away_is_passed_over(
 def test_an_address_that_is_none_is_told_with_its_option(command: Any, address: str) -> None:
     running = command("fleet", "list", "--failover", address)
     assert running.wait() == 2
-    assert f"--failover {address}: HOST:PORT is wanted, such as broker2:1883" in running.errors
+    assert f"--failover {address!r}: HOST:PORT is wanted, such as broker2:1883" in running.errors

@@ -181,12 +181,12 @@ def test_feet_of_two_markers_are_nearer_for_what_they_usually_do(monkeypatch: py
         tuple(np.delete(every.labels, dropped)), np.delete(every.segments, dropped),
         np.delete(every.positions, dropped, axis=0), np.delete(every.sigmas, dropped),
     )  # fmt: skip
-    R = _waving(250)
+    R = _waving(600)  # at 50 Hz: long enough for joints to show what they usually do
     generator = np.random.default_rng(4)
     observed = np.array([_seen(body_model(BODY, markers), each) for each in R])
     observed += generator.normal(0.0, 0.004, observed.shape)
-    cut_gaps(observed, 0.5, 100.0, generator, first=20)
-    frames = [MarkerFrame(f, f * STEP_NS, seen) for f, seen in enumerate(observed)]
+    cut_gaps(observed, 0.5, 50.0, generator, first=20)
+    frames = [MarkerFrame(f, 2 * f * STEP_NS, seen) for f, seen in enumerate(observed)]
 
     def away() -> float:
         solved, _ = solve_both_ways(BODY, markers, frames)
@@ -206,16 +206,31 @@ def test_joints_are_learned_from_what_is_seen_of_them() -> None:
     missing."""
     markers = _markers()
     model = body_model(BODY, markers)
-    R = _waving(400)
+    R = _waving(6000)
     observed = np.array([_seen(model, each) for each in R])
     cut_gaps(observed, 0.5, 100.0, np.random.default_rng(2))
-    root = np.tile([0.0, 0.0, 0.95], (400, 1))
-    posture = usual_posture(model, 0.01 * np.arange(400), observed, (R, root), 1.0)
+    root = np.tile([0.0, 0.0, 0.95], (6000, 1))
+    posture = usual_posture(model, 0.01 * np.arange(6000), observed, (R, root), 1.0)
     assert np.degrees(np.linalg.norm(rm.increment(posture.mean[HAND], R[0, HAND - 1].T @ R[0, HAND]))) < 6.0
     sigmas = np.sqrt(np.linalg.eigvalsh(np.linalg.inv(posture.precision[HAND])))
     assert sigmas[2] == pytest.approx(0.57, rel=0.1)
     assert np.degrees(sigmas[:2]).max() < 3.0
-    assert posture.weights.sum() == pytest.approx(4.0 / INDEPENDENT_S, rel=0.01)
+    assert posture.weights.sum() == pytest.approx(60.0 / INDEPENDENT_S, rel=0.01)
+
+
+def test_few_postures_draw_less() -> None:
+    """A prediction from n postures is spread by (n + 1) / (n − 2) more than they are; a joint that hardly
+    moved in four seconds may yet."""
+    model = body_model(BODY, _markers())
+    R = _waving(400)
+    observed = np.array([_seen(model, each) for each in R])
+    root = np.tile([0.0, 0.0, 0.95], (400, 1))
+    posture = usual_posture(model, 0.01 * np.arange(400), observed, (R, root), 1.0)
+    sigmas = np.sqrt(np.linalg.eigvalsh(np.linalg.inv(posture.precision[HAND])))
+    assert sigmas[2] == pytest.approx(
+        np.sqrt(6.0 / 3.0 * (4.0 * 0.57**2 + np.radians(10.0) ** 2) / 5.0), rel=0.1
+    )
+    assert np.degrees(sigmas[:2]) == pytest.approx(10.0 * np.sqrt(2.0 / 5.0), rel=0.1)
 
 
 def test_a_trial_longer_than_a_stretch_has_no_seams() -> None:
