@@ -139,10 +139,10 @@ class ModuleFilter:
 
     def take(self, sample: Sample, time_ns: int) -> None:
         """Take a sound sample. A gap before it is bridged, or the module begins to settle."""
-        if self._last is not None and time_ns - self._sound_ns > 1.5e9 * self._interval_s:
+        is_next = time_ns - self._sound_ns <= 1.5e9 * self._interval_s
+        if self._last is not None and not is_next:
             self._catch_up(self._last, sample, (time_ns - self._sound_ns) * 1e-9)
         self._kept = None
-        is_next = time_ns - self._sound_ns <= 1.5e9 * self._interval_s
         used = sample if self._clip is None else self._made_up(self._clip, sample, is_next, time_ns)
         self._was_blind = False
         self._received_ns = self._sound_ns = time_ns

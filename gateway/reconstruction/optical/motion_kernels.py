@@ -46,6 +46,16 @@ class Posture(NamedTuple):
     weights: FloatArray  # (F,) how much each frame counts
 
 
+class Evidence(NamedTuple):
+    """What a motion is found from: markers, a body, how motions go on, and what joints usually do."""
+
+    model: BodyModel
+    observed: FloatArray  # (F, M, 3) m, NaN where not seen
+    scale: float  # m, as in ``Seen``
+    differences: Differences
+    posture: Posture
+
+
 class Motion(NamedTuple):
     """Poses of F frames, of which those from ``free`` on may move."""
 
@@ -55,16 +65,9 @@ class Motion(NamedTuple):
 
 
 @compiled
-def motion_cost(
-    model: BodyModel,
-    observed: FloatArray,
-    scale: float,
-    motion: Motion,
-    differences: Differences,
-    posture: Posture,
-) -> float:
-    """Return what markers, joints, motion and posture cost together. observed: (F, M, 3) m; scale: see
-    ``Seen``."""
+def motion_cost(evidence: Evidence, motion: Motion) -> float:
+    """Return what markers, joints, motion and posture cost together."""
+    model, observed, scale, differences, posture = evidence
     total = 0.0
     nobody = np.zeros(observed.shape[1])
     for f in range(motion.free, len(observed)):
@@ -92,18 +95,12 @@ def motion_cost(
 
 
 @compiled
-def assembled(
-    model: BodyModel,
-    observed: FloatArray,
-    scale: float,
-    motion: Motion,
-    differences: Differences,
-    posture: Posture,
-) -> tuple[FloatArray, FloatArray]:
+def assembled(evidence: Evidence, motion: Motion) -> tuple[FloatArray, FloatArray]:
     """Return the normal equations of the free frames' changes, n = (3 + 3 S) each.
 
     The matrix is (frames n, REACH n): element [i, k] is that of row i + k and column i.
     """
+    model, observed, scale, differences, posture = evidence
     n = 3 + 3 * len(model.parents)
     free = motion.free
     band = np.zeros(((len(observed) - free) * n, REACH * n))

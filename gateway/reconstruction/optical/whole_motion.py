@@ -16,6 +16,7 @@ from gateway.frames import FloatArray, IntArray
 from gateway.reconstruction.optical.motion_kernels import (
     REACH,
     Differences,
+    Evidence,
     Motion,
     Posture,
     assembled,
@@ -79,10 +80,11 @@ def found_together(
         motion = Motion(R[fixed:end], roots[fixed:end], first - fixed)
         differences = _differences(times_s[fixed:end], motion.free)
         for scale in scales:
-            motion = _settled(
-                model, np.ascontiguousarray(observed[fixed:end]), scale, motion, differences,
+            evidence = Evidence(
+                model, np.ascontiguousarray(observed[fixed:end]), scale, differences,
                 posture._replace(weights=posture.weights[fixed:end]),
             )  # fmt: skip
+            motion = _settled(evidence, motion)
         R[first:end], roots[first:end] = motion.R[motion.free :], motion.root[motion.free :]
         if done is not None:
             done(kept)
@@ -99,14 +101,7 @@ def _windows(n: int) -> Iterator[tuple[int, int, int]]:
         first = kept
 
 
-def _settled(
-    model: BodyModel,
-    observed: FloatArray,
-    scale: float,
-    motion: Motion,
-    differences: Differences,
-    posture: Posture,
-) -> Motion:
+def _settled(evidence: Evidence, motion: Motion) -> Motion:
     """Return the motion at the least cost.
 
     Steps are shortened where they do not lead down; damping would keep long gaps as they are, which change by
@@ -114,18 +109,18 @@ def _settled(
     """
     from scipy.linalg import solveh_banded  # noqa: PLC0415 - takes a moment to import
 
-    cost = motion_cost(model, observed, scale, motion, differences, posture)
+    cost = motion_cost(evidence, motion)
     for _ in range(_MOST_STEPS):
-        band, right = assembled(model, observed, scale, motion, differences, posture)
+        band, right = assembled(evidence, motion)
         band[:, 0] += _FLOOR
         change = solveh_banded(band.T, right, lower=True, overwrite_ab=True, check_finite=False)
         share = 1.0
-        moved = stepped(model, motion, change)
-        while not (after := motion_cost(model, observed, scale, moved, differences, posture)) < cost:
+        moved = stepped(evidence.model, motion, change)
+        while not (after := motion_cost(evidence, moved)) < cost:
             share *= _SHORTER
             if share < _SHORTEST:
                 return motion
-            moved = stepped(model, motion, share * change)
+            moved = stepped(evidence.model, motion, share * change)
         motion, cost = moved, after
         if share * float(np.abs(change).max()) < _CONVERGED:
             break

@@ -16,7 +16,14 @@ from gateway.reconstruction.optical import both_ways, kernels, point_rules
 from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.bundle import _loose
 from gateway.reconstruction.optical.carrying import Carrying
-from gateway.reconstruction.optical.motion_kernels import Motion, Posture, assembled, motion_cost, stepped
+from gateway.reconstruction.optical.motion_kernels import (
+    Evidence,
+    Motion,
+    Posture,
+    assembled,
+    motion_cost,
+    stepped,
+)
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.tracking import start_pose
@@ -138,15 +145,13 @@ def test_the_equations_of_a_motion_are_the_slope_of_its_cost() -> None:
         Rotation.from_rotvec(generator.normal(0.0, 0.05, (BODY.n_segments, 3))).as_matrix(),
         spread @ np.swapaxes(spread, 1, 2), generator.uniform(0.5, 2.0, 7),
     )  # fmt: skip
-    _, right = assembled(model, observed, 1.0, motion, differences, posture)
+    evidence = Evidence(model, observed, 1.0, differences, posture)
+    _, right = assembled(evidence, motion)
     slope = np.empty_like(right)
     for i in range(len(right)):
         step = np.zeros(len(right))
         step[i] = 1e-6
-        costs = [
-            motion_cost(model, observed, 1.0, stepped(model, motion, each), differences, posture)
-            for each in (step, -step)
-        ]
+        costs = [motion_cost(evidence, stepped(model, motion, each)) for each in (step, -step)]
         slope[i] = (costs[0] - costs[1]) / 2e-6
     np.testing.assert_allclose(-right, slope, atol=2e-3 * np.abs(slope).max())
 
