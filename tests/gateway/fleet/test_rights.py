@@ -15,7 +15,7 @@ from gateway.fleet import cluster as clusters
 from gateway.fleet.cluster import LEAF
 from gateway.outputs.connection import broker_connection, unique_identifier
 from gateway.outputs.settings import MqttSettings
-from tests.fixtures.clusters import GATEWAYS, GuardedCluster
+from tests.fixtures.clusters import GATEWAYS, GuardedCluster, settle
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
@@ -95,13 +95,14 @@ def users(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Users]:
     except GatewayError as error:
         pytest.skip(str(error))
     with Users(tmp_path_factory.mktemp("users") / "cluster") as running:
+        asyncio.run(settle(running))
         yield running
 
 
 def connected(
     settings: MqttSettings,
 ) -> contextlib.AbstractAsyncContextManager[aiomqtt.Client]:
-    return broker_connection(settings, settings.port, unique_identifier("test"))
+    return broker_connection(settings, settings.port, unique_identifier("test"), timeout_s=PATIENCE_S)
 
 
 @pytest.mark.parametrize("user", MAY_PUBLISH)
