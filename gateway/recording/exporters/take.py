@@ -96,7 +96,7 @@ def markers_of(take: Take) -> TakenMarkers | None:
 def rotated(q_wb: FloatArray, vectors: FloatArray) -> FloatArray:
     """Return vectors (S, 3) of segment axes in world axes, (F, S, 3), by orientations (F, S, 4)."""
     frames, segments = q_wb.shape[:2]
-    turned = rotation(q_wb).apply(np.broadcast_to(vectors, (frames, segments, 3)).reshape(-1, 3))
+    turned = rotation(q_wb).apply(np.tile(vectors, (frames, 1)))
     world: FloatArray = turned.reshape(frames, segments, 3)
     return world
 
