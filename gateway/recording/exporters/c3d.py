@@ -5,7 +5,7 @@ After the C3D file format user guide (Motion Lab Systems, 2021): Intel byte orde
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,7 @@ _MOST_RESIDUAL, _RESIDUAL_STEP, _NOT_SEEN = 127, 256.0, -1.0
 """Residuals are the upper byte of a word whose lower one tells which cameras saw the point."""
 
 Value = str | int | float | list[str] | list[int]
-Groups = Mapping[str, Mapping[str, Value]]
+Groups = dict[str, dict[str, Value]]
 
 
 def write(take: Take, path: Path, units_per_m: float) -> str | None:
@@ -49,15 +49,15 @@ def write(take: Take, path: Path, units_per_m: float) -> str | None:
     labels += [] if markers is None else markers.labels
     n_frames = len(take.q_wb)
     point_blocks = -(-n_frames * len(labels) * _POINT_BYTES // _BLOCK_BYTES)
-
-    def groups(start: int) -> Groups:
-        found = _point_groups(take, labels, angles, _UNITS.get(units_per_m, "mm"), start)
-        return {**found, **(_rotation_group(take, start + point_blocks) if has_rotations else {})}
-
-    has_rotations = True
-    start = 2 + len(_parameters(groups(0))) // _BLOCK_BYTES
-    has_rotations = start + point_blocks <= _LAST_BLOCK
-    section = _parameters(groups(start)).ljust((start - 2) * _BLOCK_BYTES, b"\0")
+    groups = _point_groups(take, labels, angles, _UNITS.get(units_per_m, "mm"))
+    groups["ROTATION"] = _rotation_group(take)
+    start = 2 + len(_parameters(groups)) // _BLOCK_BYTES
+    groups["POINT"]["DATA_START"] = start
+    if has_rotations := start + point_blocks <= _LAST_BLOCK:
+        groups["ROTATION"]["DATA_START"] = start + point_blocks
+    else:
+        del groups["ROTATION"]
+    section = _parameters(groups).ljust((start - 2) * _BLOCK_BYTES, b"\0")
     with path.open("wb") as file:
         file.write(_header(take, len(labels), start) + section)
         for rows in _blocks(n_frames):
@@ -123,12 +123,12 @@ def _header(take: Take, n_points: int, start: int) -> bytes:
     return (b"\x02\x50" + words.tobytes() + rate).ljust(_BLOCK_BYTES, b"\0")
 
 
-def _point_groups(take: Take, labels: list[str], angles: list[str], unit: str, start: int) -> Groups:
-    """Return the parameters that every C3D file has."""
+def _point_groups(take: Take, labels: list[str], angles: list[str], unit: str) -> Groups:
+    """Return the parameters that every C3D file has; where the points begin is told later."""
     first, last = _numbers(take)
     lists = [labels[i : i + _MOST_IN_LIST] for i in range(0, len(labels), _MOST_IN_LIST)]
     names = ["LABELS", *(f"LABELS{n}" for n in range(2, len(lists) + 1))]
-    groups: dict[str, Mapping[str, Value]] = {
+    groups: Groups = {
         "POINT": {
             "USED": len(labels),
             **dict(zip(names, lists, strict=True)),
@@ -136,7 +136,7 @@ def _point_groups(take: Take, labels: list[str], angles: list[str], unit: str, s
             "SCALE": _FLOATS,
             "UNITS": unit,
             "RATE": take.rate_hz,
-            "DATA_START": start,
+            "DATA_START": 0,
             "FRAMES": min(len(take.q_wb), _MOST_IN_WORD),
             "ANGLES": angles,
         },
@@ -150,10 +150,9 @@ def _point_groups(take: Take, labels: list[str], angles: list[str], unit: str, s
     return groups
 
 
-def _rotation_group(take: Take, start: int) -> Groups:
+def _rotation_group(take: Take) -> dict[str, Value]:
     names = list(take.skeleton.segment_names)
-    entries: dict[str, Value] = {"USED": len(names), "DATA_START": start, "RATE": take.rate_hz}
-    return {"ROTATION": {**entries, "LABELS": names, "RATIO": 1}}
+    return {"USED": len(names), "DATA_START": 0, "RATE": take.rate_hz, "LABELS": names, "RATIO": 1}
 
 
 def _parameters(groups: Groups) -> bytes:
