@@ -35,15 +35,16 @@ def sides_kept(marker_set: MarkerSet, trial: MarkerTrial) -> tuple[MarkerTrial, 
     """Return the trial with the left and the right marker of each pair where they go on from, and in how many
     frames they had been exchanged, by the left one.
 
-    Exchanged names leap to the other side, both at once. Which of the two stretches is the wrong one is not
-    told by that: the shorter is.
+    Exchanged names leap to the other side, both at once. Of the two stretches that is the wrong one in which
+    left lies to the right, by the markers of pelvis and head; the shorter, where those do not tell.
     """
     positions, found = trial.positions, dict[str, int]()
+    leftwards = _leftwards(marker_set, trial)
     for pair in _pairs(marker_set):
         if not {*pair} <= {*trial.labels}:
             continue
         columns = np.array([trial.labels.index(label) for label in pair])
-        is_other = _exchanged(trial.positions[:, columns], _LONGEST_GAP_S * trial.rate_hz)
+        is_other = _exchanged(trial.positions[:, columns], leftwards, _LONGEST_GAP_S * trial.rate_hz)
         if is_other.any():
             positions = positions.copy() if positions is trial.positions else positions
             positions[np.ix_(is_other, columns)] = trial.positions[np.ix_(is_other, columns[::-1])]
@@ -63,7 +64,22 @@ def _pairs(marker_set: MarkerSet) -> list[tuple[str, str]]:
     ]
 
 
-def _exchanged(pair: FloatArray, longest_gap: float) -> NDArray[np.bool_]:
+def _leftwards(marker_set: MarkerSet, trial: MarkerTrial) -> FloatArray:
+    """Return (F, 3) m, from right to left by markers of segments that have no side; 0 where none tells."""
+    on_middle = [
+        label
+        for name, labels in marker_set.file.markers.items()
+        if not name.startswith(("left_", "right_"))
+        for label in labels
+    ]
+    lefts = [label for label in on_middle if label[0] == "L" and f"R{label[1:]}" in on_middle]
+    rights = tuple(f"R{label[1:]}" for label in lefts)
+    apart = trial.columns(tuple(lefts)) - trial.columns(rights)
+    summed: FloatArray = np.nan_to_num(apart).sum(axis=1)
+    return summed
+
+
+def _exchanged(pair: FloatArray, leftwards: FloatArray, longest_gap: float) -> NDArray[np.bool_]:
     """Return in which frames the two points of a pair (F, 2, 3) have each other's name."""
     is_other = np.zeros(len(pair), dtype=bool)
     seen = np.flatnonzero(np.isfinite(pair).all(axis=(1, 2)))
@@ -73,8 +89,12 @@ def _exchanged(pair: FloatArray, longest_gap: float) -> NDArray[np.bool_]:
     own = np.linalg.norm(after - before, axis=2).sum(axis=1)
     crossed = np.linalg.norm(after - before[:, ::-1], axis=2).sum(axis=1)
     leaps = (crossed < _NEARER * own) & (own - crossed > _LEAP_M) & (np.diff(seen) <= max(1.0, longest_gap))
+    if not leaps.any():
+        return is_other
     turns = np.cumsum(leaps) % 2 == 1
-    if 2 * turns.sum() >= len(turns):
+    to_left = ((pair[seen, 0] - pair[seen, 1]) * leftwards[seen]).sum(axis=1)[1:]
+    is_left = float(np.where(turns, -to_left, to_left).sum()) or 0.5 * len(turns) - turns.sum()
+    if is_left < 0:
         turns = ~turns
         is_other[: seen[0] + 1] = True
     # A frame that sees only one of the two has the names of the one before it.
