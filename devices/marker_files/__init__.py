@@ -8,10 +8,19 @@ from devices.marker_files.trc import FIRST_WORD, read_trc
 from devices.marker_files.trial import MarkerTrial
 from devices.vendor_formats.sheets import FormatError
 
-__all__ = ["SUFFIXES", "MarkerTrial", "read_c3d", "read_markers", "read_table", "read_trc"]
+__all__ = ["SUFFIXES", "MarkerTrial", "holds_markers", "read_c3d", "read_markers", "read_table", "read_trc"]
 
 SUFFIXES = {".c3d": read_c3d, ".trc": read_trc, ".tsv": read_table, ".csv": read_table}
 _HEAD_BYTES = 32
+
+
+def _is_c3d(head: bytes) -> bool:
+    return head[1:2] == bytes([MAGIC]) and not head[:2].isalpha()
+
+
+def holds_markers(head: bytes) -> bool:
+    """Return whether a file's first bytes are those of one of the formats."""
+    return _is_c3d(head) or head.startswith(FIRST_WORD.encode()) or is_table(head)
 
 
 def read_markers(path: Path) -> MarkerTrial:
@@ -26,7 +35,7 @@ def read_markers(path: Path) -> MarkerTrial:
             head = file.read(_HEAD_BYTES)
     except OSError as error:
         raise FormatError(f"{path} cannot be read: {error.strerror}") from error
-    if head[1:2] == bytes([MAGIC]) and not head[:2].isalpha():
+    if _is_c3d(head):
         return read_c3d(path)
     if head.startswith(FIRST_WORD.encode()):
         return read_trc(path)

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -126,7 +125,7 @@ def _barest(labels: Sequence[str], meant: Mapping[str, str]) -> list[str]:
     more of the wanted ones are known so."""
     bare = _bare(labels)
     named = [label for label in bare if label and not label.startswith("*")]
-    shared = len(os.path.commonprefix(named)) if len(named) > _ONE_MORE else 0
+    shared = _shared(named) if len(named) > _ONE_MORE else 0
     shorter = ([label[n:] if label in named else label for label in bare] for n in range(1, shared + 1))
     return max([bare, *shorter], key=lambda each: _known(each, meant))
 
@@ -143,12 +142,14 @@ def _bare(labels: Sequence[str]) -> list[str]:
 
 def _shared_mark(texts: Sequence[str]) -> int:
     """Return how many characters all texts begin with, up to the last that is no letter and no digit."""
+    return max((n for n in range(1, _shared(texts) + 1) if not texts[0][n - 1].isalnum()), default=0)
+
+
+def _shared(texts: Sequence[str]) -> int:
+    """Return how many characters all texts begin with."""
     # The first and last in alphabetical order differ soonest: what they share, all share.
     first, last = min(texts), max(texts)
-    shared = next(
-        (n for n, pair in enumerate(zip(first, last, strict=False)) if len({*pair}) > 1), len(first)
-    )
-    return max((n for n in range(1, shared + 1) if not first[n - 1].isalnum()), default=0)
+    return next((n for n, pair in enumerate(zip(first, last, strict=False)) if len({*pair}) > 1), len(first))
 
 
 def _known(labels: Iterable[str], meant: Mapping[str, str]) -> int:

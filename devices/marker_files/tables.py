@@ -27,8 +27,8 @@ QTM, MOTIVE, NEXUS = "NO_OF_FRAMES", "Format Version", "Trajectories"
 _QTM_NAME = re.compile(r"[A-Z][A-Z_]*[A-Z]")
 _AXES = ["X", "Y", "Z"]
 _NAMELESS = re.compile(r"unlabell?ed\b.*|", re.IGNORECASE)
-_MOTIVE_TYPES = {"marker"}
-"""Of Motive's columns; those of rigid bodies and bones, and markers computed from them, were not seen."""
+_MOTIVE_MARKER = "marker"
+"""Type of Motive's columns of points that were seen; rigid bodies, bones and their markers are computed."""
 _REMEDY = "export the trial again, or as C3D"
 
 
@@ -91,12 +91,12 @@ def _qtm(rows: list[list[str]], path: Path) -> _Columns:
         leading = leading if leading <= 2 else 0
     first = [leading + 3 * m for m in range(len(labels))]
     rate_hz = _rate(head.get("FREQUENCY", [""])[0], "FREQUENCY", path)
-    told = _number(head.get("NO_OF_FRAMES", [""])[0])
+    count = _number(head.get("NO_OF_FRAMES", [""])[0])
     return _Columns(
         labels, first, rate_hz, METRES["mm"], begin,
         is_numbered=leading > 0,
         time=1 if leading == 2 else None,
-        n_frames=None if math.isnan(told) else int(told),
+        n_frames=None if math.isnan(count) else int(count),
     )  # fmt: skip
 
 
@@ -110,8 +110,8 @@ def _motive(rows: list[list[str]], path: Path) -> _Columns:
     names = above[above.index(types) + 1] if types and above.index(types) + 1 < len(above) else []
     letters = [cell.strip().upper() for cell in rows[axes]]
     first = [
-        n for n in range(min(len(types), len(names), len(letters) - 2))
-        if types[n].casefold() in _MOTIVE_TYPES and letters[n : n + 3] == _AXES and above[-1][n] == "Position"
+        n for n, (kind, _, what) in enumerate(zip(types, names, above[-1] if above else [], strict=False))
+        if kind.casefold() == _MOTIVE_MARKER and letters[n : n + 3] == _AXES and what == "Position"
     ]  # fmt: skip
     if not first:
         raise FormatError(f"{path}: no columns of markers: export with Markers (Motive: CSV, Markers on)")
@@ -121,10 +121,8 @@ def _motive(rows: list[list[str]], path: Path) -> _Columns:
         raise FormatError(
             f"{path}: Length Units is '{unit}': one of {', '.join(METRES)} is wanted: {_REMEDY}"
         )
-    told = head.get("Export Frame Rate") or head.get("Capture Frame Rate", "")
-    return _Columns(
-        [names[n] for n in first], first, _rate(told, "Export Frame Rate", path), metres, axes + 1, time=1
-    )
+    rate_hz = _rate(head.get("Export Frame Rate") or head.get("Capture Frame Rate", ""), "Frame Rate", path)
+    return _Columns([names[n] for n in first], first, rate_hz, metres, axes + 1, time=1)
 
 
 def _nexus(rows: list[list[str]], path: Path) -> _Columns:

@@ -54,7 +54,8 @@ def read_trc(path: Path) -> MarkerTrial:
     first = lines[_HEAD_LINES - 1].split("\t")[0].strip()
     begin = _HEAD_LINES - 1 if _FRAME_NUMBER.fullmatch(first) else _HEAD_LINES  # some leave out X1, Y1, …
     own = [name for name in (x.strip() for x in lines[3].split("\t")[_LEADING:]) if name]
-    labels = without_prefixes(own[::3] if own == [name for name in own[::3] for _ in range(3)] else own)
+    thrice = len({*own}) == len(own[::3]) and own == [name for name in own[::3] for _ in range(3)]
+    labels = without_prefixes(own[::3] if thrice else own)
     rows, notes = _rows(lines, begin, 3 * len(labels), path)
     notes += further
     expected = int(_positive(head, "NumFrames", path))
@@ -93,10 +94,10 @@ def _rate(head: dict[str, str], times: list[float], path: Path) -> tuple[float, 
 
     Raises ``FormatError`` where neither does.
     """
-    told = head["DataRate"]
+    written = head["DataRate"]
     usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    if usual > 0 and told.strip("0.,") == "":
-        return 1.0 / usual, [f"{path}: DataRate in line 3 is '{told}': {1.0 / usual:g} by its times"]
+    if usual > 0 and written.strip("0.,") == "":
+        return 1.0 / usual, [f"{path}: DataRate in line 3 is '{written}': {1.0 / usual:g} by its times"]
     rate_hz = _positive(head, "DataRate", path)
     return rate_hz, _time_notes(times, rate_hz, path)
 

@@ -24,6 +24,18 @@ def test_what_stands_before_and_behind_all_labels_is_no_part_of_them():
     assert _all([f"model.{label.lower()}_pos" for label in WANTED]) == list(WANTED)
 
 
+def test_letters_before_all_labels_and_sides_written_before_are_no_part_of_them():
+    assert _all([f"Ana{label}" for label in WANTED]) == list(WANTED)
+    assert _all([f"S01{label}" for label in WANTED]) == list(WANTED)
+    sides = {"L": "Left", "R": "Right"}
+    assert _all([sides.get(label[0], label[0]) + label[1:] for label in WANTED]) == list(WANTED)
+
+
+def test_a_side_that_all_labels_begin_with_stays():
+    left = ("LASI", "LPSI", "LTHI", "LKNE", "LTIB")
+    assert spellings(left, (*left, *(f"R{label[1:]}" for label in left))) == {label: label for label in left}
+
+
 def test_a_subject_with_a_suffix_finds_its_markers_in_a_trial_without():
     with_suffix = [f"{label}_pos" for label in WANTED]
     assert [spellings(list(WANTED), with_suffix).get(label) for label in WANTED] == with_suffix
