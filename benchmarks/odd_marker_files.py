@@ -12,7 +12,7 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.figures import replace_section, table
 from devices.marker_files import MarkerTrial, read_markers
 from devices.vendor_formats.sheets import FormatError
-from gateway.cli.optical import fit_doubts
+from gateway.cli.optical import fit_doubts, uneven_sides
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import Fit, FitOptions, by_lacking, fit_body
 from gateway.reconstruction.optical.worn_markers import fitting_set
@@ -180,6 +180,88 @@ def with_pelvis_clusters(trial: MarkerTrial) -> MarkerTrial:
     return replace(trial, labels=labels, positions=np.concatenate([bare.positions, both], axis=1))
 
 
+def exchanged(*names: str, frames: slice = slice(None)) -> Change:
+    """Return what gives the left and the right markers of these names one another's places for a while."""
+    return traded({f"L{name}": f"R{name}" for name in names}, frames)
+
+
+def traded(pairs: Mapping[str, str], frames: slice = slice(None)) -> Change:
+    """Return what gives the two markers of each pair one another's places."""
+
+    def change(trial: MarkerTrial) -> MarkerTrial:
+        places = trial.positions.copy()
+        for pair in pairs.items():
+            one, other = (trial.labels.index(label) for label in pair)
+            places[frames, one] = trial.positions[frames, other]
+            places[frames, other] = trial.positions[frames, one]
+        return replace(trial, positions=places)
+
+    return change
+
+
+def in_pieces(again: str) -> Change:
+    """Return what gives some markers another name from the middle on."""
+
+    def change(trial: MarkerTrial) -> MarkerTrial:
+        lost = [trial.labels.index(label) for label in ("LASI", "LKNE", "RTOE", "LWRA", "C7")]
+        half, later = trial.n_frames // 2, np.full_like(trial.positions[:, lost], np.nan)
+        places = trial.positions.copy()
+        later[half:], places[half:, lost] = trial.positions[half:, lost], np.nan
+        labels = (*trial.labels, *(again.format(trial.labels[m]) for m in lost))
+        return replace(trial, labels=labels, positions=np.concatenate([places, later], axis=1))
+
+    return change
+
+
+def held_still(trial: MarkerTrial) -> MarkerTrial:
+    """Some markers stay where they were seen last."""
+    places, half = trial.positions.copy(), trial.n_frames // 2
+    for label in ("LKNE", "RTOE", "LWRA", "RASI"):
+        column = trial.labels.index(label)
+        places[half : half + 8, column] = places[half, column]
+    return replace(trial, positions=places)
+
+
+def renamed(names: Mapping[str, str]) -> Change:
+    """Return what leaves the markers of a dictionary, named by it, and one sacral marker where it has
+    ``SACR``."""
+
+    def change(trial: MarkerTrial) -> MarkerTrial:
+        kept = [label for label in trial.labels if label in names]
+        sacrum = trial.columns(("LPSI", "RPSI")).mean(axis=1, keepdims=True)
+        own, places = [names[label] for label in kept], [trial.columns(tuple(kept))]
+        if "SACR" in names:
+            own.append(names["SACR"])
+            places.append(sacrum)
+        return replace(trial, labels=tuple(own), positions=np.concatenate(places, axis=1))
+
+    return change
+
+
+BTS = {"C7": "c7", "SACR": "sacrum"} | {
+    f"{side}{label}": f"{side.lower()} {name}"
+    for side in "LR"
+    for label, name in {
+        "SHO": "should", "ASI": "asis", "THI": "bar 1", "KNE": "knee 1", "TIB": "bar 2", "ANK": "mall",
+        "HEE": "heel", "TOE": "met",
+    }.items()
+}  # fmt: skip
+"""Davis' protocol as the programs of BTS name it."""
+OPTITRACK = {
+    "LFHD": "HeadFront", "RFHD": "HeadSide", "LBHD": "HeadTop",
+    "C7": "BackTop", "RBAK": "BackRight", "T10": "BackLeft",
+    "CLAV": "Chest", "LASI": "WaistLFront", "RASI": "WaistRFront", "LPSI": "WaistLBack", "RPSI": "WaistRBack",
+} | {
+    f"{side}{label}": f"Skeleton 001:{side}{name}"
+    for side in "LR"
+    for label, name in {
+        "SHO": "ShoulderTop", "UPA": "UArmHigh", "ELB": "ElbowOut", "WRB": "WristOut", "WRA": "WristIn",
+        "FIN": "HandOut", "THI": "Thigh", "KNE": "KneeOut", "TIB": "Shin", "ANK": "AnkleOut", "TOE": "ToeIn",
+        "HEE": "Heel",
+    }.items()
+}  # fmt: skip
+
+
 def cells(change: Callable[[str], str]) -> Edit:
     """Return what rewrites every coordinate."""
     return lambda lines: [
@@ -285,9 +367,62 @@ CASES: dict[str, tuple[Change, Edit]] = {
         list,
     ),
     "two clusters on the pelvis, no landmarks": (with_pelvis_clusters, list),
+    "letters before the names": (called(lambda label: f"Ana{label}"), list),
+    "the side before the name": (
+        called(lambda label: {"L": "Left", "R": "Right"}.get(label[0], label[0]) + label[1:]),
+        list,
+    ),
+    "markers lost, and found again as LASI_1": (in_pieces("{}_1"), list),
+    "markers lost, and found again by their names": (in_pieces("{}"), list),
+    "markers held where they were lost": (held_still, list),
+    "legs exchanged for a while": (
+        exchanged("THI", "KNE", "TIB", "ANK", "HEE", "TOE", frames=slice(15, 25)),
+        list,
+    ),
+    "knees and ankles exchanged to the end": (exchanged("KNE", "ANK", frames=slice(25, None)), list),
+    "arms exchanged for a while": (
+        exchanged("UPA", "ELB", "FRM", "WRA", "WRB", "FIN", frames=slice(15, 25)),
+        list,
+    ),
+    "heel and toe of one foot exchanged": (traded({"LHEE": "LTOE"}), list),
+    "knee and ankle of one leg exchanged": (traded({"LKNE": "LANK"}), list),
+    "both ASIS exchanged": (exchanged("ASI"), list),
+    "one ASIS hidden throughout the walk": (without("LASI"), list),
+    "a prosthesis without shank markers": (without("LTIB", "LANK"), list),
+    "a child": (lambda trial: replace(trial, positions=0.55 * trial.positions), list),
+    "Davis' markers by BTS' names": (renamed(BTS), list),
+    "OptiTrack's names": (renamed(OPTITRACK), list),
+    "a walk without names": (called(lambda _: "*"), list),
+    "lines before the header": (same, lambda lines: ["", "# exported by a program", *lines]),
+    "no first line": (same, lambda lines: lines[1:]),
+    "no unit": (same, head_changed("mm", "")),
+    "no rate": (same, head_changed("24\t24\t", "0\t0\t")),
+    "every name thrice": (
+        same,
+        lambda lines: [
+            *lines[:3],
+            "Frame#\tTime\t" + "\t".join("\t".join([x] * 3) for x in LABELS),
+            *lines[4:],
+        ],
+    ),
+    "rows that end before their last markers": (
+        same,
+        lambda lines: [*lines[:5], *("\t".join(row.split("\t")[:-6]) for row in lines[5:-1]), lines[-1]],
+    ),
+    "as QTM exports it": (same, list),
+    "as Motive exports it": (turned, list),
+    "as Nexus exports it": (same, list),
 }
 ONLY_STATIC = {"the static trial with y up"}
 """Of these the walk stays as it is."""
+ONLY_WALK = {
+    name
+    for name in CASES
+    if name.startswith(
+        ("legs", "knees and", "arms", "markers lost", "markers held", "one ASIS", "a walk without")
+    )
+}
+"""Of these the static trial stays as it is."""
 ENCODINGS = {"UTF-16": "utf-16"}
 
 
@@ -307,14 +442,70 @@ def trc_lines(trial: MarkerTrial, name: str) -> list[str]:
     return lines
 
 
+def qtm_lines(trial: MarkerTrial) -> list[str]:
+    """A trial as the TSV of QTM."""
+    head = [
+        f"NO_OF_FRAMES\t{trial.n_frames}", "NO_OF_CAMERAS\t8", f"NO_OF_MARKERS\t{len(trial.labels)}",
+        f"FREQUENCY\t{trial.rate_hz:g}", "NO_OF_ANALOG\t0", "DATA_INCLUDED\t3D",
+    ]  # fmt: skip
+    rows = [
+        "\t".join(f"{value:.3f}" for value in row.ravel()) for row in np.nan_to_num(1e3 * trial.positions)
+    ]
+    return [*head, "\t".join(["MARKER_NAMES", *trial.labels]), *rows]
+
+
+def motive_lines(trial: MarkerTrial) -> list[str]:
+    """A trial as the CSV of Motive."""
+    names = [f"Ana:{label}" for label in trial.labels for _ in "XYZ"]
+    head = [
+        f"Format Version,1.23,Take Name,Walk,Export Frame Rate,{trial.rate_hz:f},Length Units,Meters",
+        "",
+        ",Type," + ",".join("Marker" for _ in names),
+        ",Name," + ",".join(names),
+        ",ID," + ",".join("1" for _ in names),
+        ",," + ",".join("Position" for _ in names),
+        "Frame,Time (Seconds)," + ",".join("XYZ" for _ in trial.labels).replace("XYZ", "X,Y,Z"),
+    ]
+    return [*head, *_numbered(trial, lambda frame: f"{frame},{frame / trial.rate_hz:.6f}", 1.0)]
+
+
+def nexus_lines(trial: MarkerTrial) -> list[str]:
+    """A trial as the CSV of Nexus."""
+    head = [
+        "Trajectories",
+        f"{trial.rate_hz:g}",
+        ",," + ",,,".join(f"Ana:{label}" for label in trial.labels),
+        "Frame,Sub Frame," + ",".join("X,Y,Z" for _ in trial.labels),
+        ",," + ",".join("mm,mm,mm" for _ in trial.labels),
+    ]
+    return [*head, *_numbered(trial, lambda frame: f"{frame + 1},0", 1e3)]
+
+
+def _numbered(trial: MarkerTrial, first: Callable[[int], str], per_m: float) -> list[str]:
+    rows = per_m * trial.positions.reshape(trial.n_frames, -1)
+    return [
+        ",".join([first(frame), *("" if np.isnan(value) else f"{value:.6f}" for value in row)])
+        for frame, row in enumerate(rows)
+    ]
+
+
+TABLES: dict[str, tuple[str, Callable[[MarkerTrial], list[str]]]] = {
+    "as QTM exports it": ("tsv", qtm_lines),
+    "as Motive exports it": ("csv", motive_lines),
+    "as Nexus exports it": ("csv", nexus_lines),
+}
+"""Of cases that are no TRC: how the files' names end, and their lines."""
+
+
 def write_case(folder: Path, case: str, trials: Sequence[MarkerTrial]) -> list[Path]:
     """The static trial and the walk of a case, the second one with its faults."""
     change, edit = CASES[case]
     stem = re.sub(r"\W+", "_", case)
-    paths = [folder / f"{stem}_{kind}.trc" for kind in ("static", "walk")]
-    changes = (change, same) if case in ONLY_STATIC else (change, change)
+    suffix, lines_of = TABLES.get(case, ("trc", lambda trial: trc_lines(trial, stem)))
+    paths = [folder / f"{stem}_{kind}.{suffix}" for kind in ("static", "walk")]
+    changes = (same if case in ONLY_WALK else change, same if case in ONLY_STATIC else change)
     for path, trial, own, faults in zip(paths, trials, changes, (list, edit), strict=True):
-        text = "\n".join(faults(trc_lines(own(trial), path.name))) + "\n"
+        text = "\n".join(faults(lines_of(own(trial)))) + "\n"
         path.write_text(text, encoding=ENCODINGS.get(case, "utf-8"))
     return paths
 
@@ -333,6 +524,14 @@ def outcome(paths: Sequence[Path]) -> tuple[str, str]:
 
 def _left_out(fit: Fit) -> list[str]:
     doubts = fit_doubts(fit)
+    lengths = {
+        name: 1e3 * float(np.linalg.norm(tip))
+        for name, tip in zip(fit.skeleton.segment_names, fit.skeleton.tips, strict=True)
+    }
+    doubts += [
+        f"{left} is {lengths[left]:.0f} mm long, {right} {lengths[right]:.0f} mm"
+        for left, right in uneven_sides(lengths)
+    ]
     bare = [f"no markers on {', '.join(fit.left_out)}"] if fit.left_out else []
     few = [f"too few on {', '.join(on)} (no {lacking})" for lacking, on in by_lacking(fit.too_few).items()]
     return doubts + bare + few

@@ -10,7 +10,15 @@ import numpy as np
 
 from devices.marker_files.c3d_parameters import BLOCK, MIPS, Parameter, floats, read_parameters
 from devices.marker_files.naming import without_prefixes
-from devices.marker_files.trial import METRES, FloatArray, MarkerTrial, label_notes, metres_of, seen_points
+from devices.marker_files.trial import (
+    METRES,
+    FloatArray,
+    MarkerTrial,
+    assumed_metres,
+    joined_pieces,
+    metres_of,
+    seen_points,
+)
 from devices.vendor_formats.sheets import FormatError
 
 MAGIC = 0x50
@@ -97,17 +105,21 @@ def read_c3d(path: Path) -> MarkerTrial:
     some systems write it.
     """
     file = open_c3d(path)
-    factor = metres_per_unit(file.parameters, path)
-    labels = _labels(file.parameters, file.layout.n_points)
+    points = _points(file.rows(), file.layout)
+    factor, unit_notes = metres_per_unit(file.parameters, path), tuple[str, ...]()
+    if not _unit(file.parameters):
+        factor, unit_notes = assumed_metres(points, path)
+    own = _labels(file.parameters, file.layout.n_points)
+    labels, positions, label_notes = joined_pieces(own, seen_points(points * factor), path)
     return MarkerTrial(
         name=path.stem,
         labels=labels,
         rate_hz=file.rate_hz,
-        positions=seen_points(_points(file.rows(), file.layout) * factor),
+        positions=positions,
         parameters=_scalars(file.parameters),
         metres_per_unit=factor,
         begins_s=file.begins_s,
-        notes=(*file.notes, *label_notes(labels, path)),
+        notes=(*file.notes, *unit_notes, *label_notes),
     )
 
 
@@ -199,7 +211,8 @@ def _points(rows: FloatArray, layout: C3DLayout) -> FloatArray:
 
 
 def _rate(content: bytes, parameters: dict[str, Parameter], processor: int, path: Path) -> float:
-    rate = _number(parameters, "POINT:RATE", float(floats(content[20:24], processor)[0]))
+    in_header = float(floats(content[20:24], processor)[0])
+    rate = _number(parameters, "POINT:RATE", in_header) or in_header
     if not 0 < rate < 1e5:
         raise FormatError(f"{path}: POINT:RATE is {rate:g}: a number of frames a second is wanted")
     return rate
@@ -208,11 +221,17 @@ def _rate(content: bytes, parameters: dict[str, Parameter], processor: int, path
 def metres_per_unit(parameters: dict[str, Parameter], path: Path) -> float:
     """Return metres per unit of the file's lengths. Raises ``FormatError`` for an unknown unit."""
     # Most systems write millimetres, also those that do not say so.
-    texts = parameters["POINT:UNITS"].texts() if "POINT:UNITS" in parameters else []
-    metres = metres_of(texts[0]) if texts and texts[0] else METRES["mm"]
+    unit = _unit(parameters)
+    metres = metres_of(unit) if unit else METRES["mm"]
     if metres is None:
-        raise FormatError(f"{path}: POINT:UNITS is '{texts[0]}': one of {', '.join(METRES)} is wanted")
+        raise FormatError(f"{path}: POINT:UNITS is '{unit}': one of {', '.join(METRES)} is wanted")
     return metres
+
+
+def _unit(parameters: dict[str, Parameter]) -> str:
+    """Return the unit that a file tells for its lengths; empty: none."""
+    texts = parameters["POINT:UNITS"].texts() if "POINT:UNITS" in parameters else []
+    return texts[0] if texts else ""
 
 
 def _labels(parameters: dict[str, Parameter], n_points: int) -> tuple[str, ...]:

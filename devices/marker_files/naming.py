@@ -18,8 +18,8 @@ _PREFIX = re.compile(r"([^:]+(?=:)|[^:_.\s-]+)[:_.\s-]+(.+)")
 """What precedes a colon, blanks and all (``Anna Lee:LASI``); else the first word."""
 _PERSON_BEHIND = re.compile(r"(.+)[:_.\s-]+([^:_.\s-]+)")
 _SIDES = frozenset({"l", "r", "left", "right"})
-_SIDE = re.compile(r"(?:(left|right)[\W_]+)?(.+?)(?:[\W_]+(left|right|l|r))?", re.IGNORECASE)
-"""Written out before a marker's name, or behind it."""
+_SIDE = re.compile(r"(?:(left|right)[\W_]*)?(.+?)(?:[\W_]+(left|right|l|r))?", re.IGNORECASE)
+"""Written out before a marker's name (``LeftASIS`` too), or behind it."""
 _NOT_SPELT = re.compile(r"[\W_]+")
 _ONE_MORE = 3
 """A prefix is a person's name if so many more markers are known without it."""
@@ -79,7 +79,7 @@ def spellings(
         mine = {_person_first(label, people): label for label in own}
         found = spellings(list(first), mine, others, person, source)
         return {first[label]: mine[name] for label, name in found.items()}
-    bare = dict(zip(labels, _bare(labels), strict=True))
+    bare = dict(zip(labels, _barest(labels, meant), strict=True))
     if person is None and _known(bare.values(), meant) > _known(labels, meant) + _ONE_MORE:
         return _first_of_each(
             {label: meant[plain(name)] for label, name in bare.items() if plain(name) in meant}
@@ -120,6 +120,16 @@ def _person_first(label: str, people: Collection[str]) -> str:
     return f"{match[2]}:{match[1]}" if match is not None and match[2] in people else label
 
 
+def _barest(labels: Sequence[str], meant: Mapping[str, str]) -> list[str]:
+    """Return labels as ``_bare`` does, also without letters before them that all share (``AnaLASI``) where
+    more of the wanted ones are known so."""
+    bare = _bare(labels)
+    named = [label for label in bare if label and not label.startswith("*")]
+    shared = _shared(named) if len(named) > _ONE_MORE else 0
+    shorter = ([label[n:] if label in named else label for label in bare] for n in range(1, shared + 1))
+    return max([bare, *shorter], key=lambda each: _known(each, meant))
+
+
 def _bare(labels: Sequence[str]) -> list[str]:
     """Return labels without what precedes and follows all that are names (``Anna_Lee_LASI``, ``LASI-1``)."""
     named = [label for label in labels if label and not label.startswith("*")]
@@ -132,12 +142,14 @@ def _bare(labels: Sequence[str]) -> list[str]:
 
 def _shared_mark(texts: Sequence[str]) -> int:
     """Return how many characters all texts begin with, up to the last that is no letter and no digit."""
+    return max((n for n in range(1, _shared(texts) + 1) if not texts[0][n - 1].isalnum()), default=0)
+
+
+def _shared(texts: Sequence[str]) -> int:
+    """Return how many characters all texts begin with."""
     # The first and last in alphabetical order differ soonest: what they share, all share.
     first, last = min(texts), max(texts)
-    shared = next(
-        (n for n, pair in enumerate(zip(first, last, strict=False)) if len({*pair}) > 1), len(first)
-    )
-    return max((n for n in range(1, shared + 1) if not first[n - 1].isalnum()), default=0)
+    return next((n for n, pair in enumerate(zip(first, last, strict=False)) if len({*pair}) > 1), len(first))
 
 
 def _known(labels: Iterable[str], meant: Mapping[str, str]) -> int:

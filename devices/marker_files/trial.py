@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -72,13 +72,45 @@ def seen_points(points: FloatArray) -> FloatArray:
     return np.where(is_seen[..., None], points, np.nan)
 
 
-def label_notes(labels: Sequence[str], source: object) -> tuple[str, ...]:
-    """Return what is odd about the labels of a file: names that several points have."""
-    counts = Counter(label for label in labels if label and not label.startswith("*"))
-    twice = [label for label, count in counts.items() if count > 1]
-    if not twice:
-        return ()
-    return (f"{source}: several markers are called {', '.join(twice)}: the first of each counts",)
+_PIECE = re.compile(r"(.+?)[\s_.-]+\(?\d+\)?")
+"""A marker that its program found anew after a gap: ``LASI_1``, ``LASI-2``, ``LASI (2)``, beside ``LASI``."""
+
+
+def joined_pieces(
+    labels: Sequence[str], points: FloatArray, source: object
+) -> tuple[tuple[str, ...], FloatArray, tuple[str, ...]]:
+    """Return labels, points (F, M, 3) and notes with one column a marker whose trajectory is in pieces.
+
+    Those are points of one name, or of one with a number behind it, of which no frame sees two. Of others of
+    one name the first counts, which is a note.
+    """
+    columns: dict[str, list[int]] = {}
+    for m, label in enumerate(labels):
+        piece = _PIECE.fullmatch(label)
+        name = piece[1] if piece is not None and piece[1] in labels else label
+        if name and not name.startswith("*"):
+            columns.setdefault(name, []).append(m)
+    seen: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=2))
+    places = points
+    joined, twice, gone = list[str](), list[str](), set[int]()
+    for name, own in columns.items():
+        if len(own) == 1:
+            continue
+        if seen[:, own].any(axis=0).sum() > 1 and (seen[:, own].sum(axis=1) <= 1).all():
+            places = places.copy() if places is points else places
+            for m in own[1:]:
+                places[seen[:, m], own[0]] = points[seen[:, m], m]
+            joined.append(name)
+            gone.update(own[1:])
+        elif [labels[m] for m in own].count(name) > 1:
+            twice.append(name)
+    kept = [m for m in range(len(labels)) if m not in gone]
+    notes = []
+    if joined:
+        notes.append(f"{source}: {', '.join(joined)} in pieces, of which no frame has two: joined")
+    if twice:
+        notes.append(f"{source}: several markers are called {', '.join(twice)}: the first of each counts")
+    return tuple(labels[m] for m in kept), places[:, kept] if gone else places, tuple(notes)
 
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -88,6 +120,21 @@ _UNIT_NAMES = {
     "millimetre": "mm", "inch": "in", "inche": "in", "foot": "ft", "feet": "ft",
 }  # fmt: skip
 """Written out, in small letters and without an s at the end."""
+
+
+_LARGEST_M = 20.0
+"""Spread of the points of a file in metres; in any other unit a person's are farther apart."""
+
+
+def assumed_metres(points: FloatArray, source: object) -> tuple[float, tuple[str, ...]]:
+    """Return the length of the unit of a file that tells none, m, and a note where that is not millimetres.
+
+    points: (F, M, 3) in the file's unit.
+    """
+    seen = points[np.isfinite(points).all(axis=2)]
+    if len(seen) and np.ptp(np.percentile(seen, (5, 95), axis=0), axis=0).max() < _LARGEST_M:
+        return METRES["m"], (f"{source}: no unit told, and its points are that near: taken as metres",)
+    return METRES["mm"], ()
 
 
 def metres_of(unit: str) -> float | None:

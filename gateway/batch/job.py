@@ -115,24 +115,27 @@ def _make(job: Job, folder: Path) -> str | None:
         note, recording = recording.defect, open_recording(solved)
     else:
         note = None
-    _export(recording, task, folder, name)
+    lacks = _export(recording, task, folder, name)
     if REPORT in task.to:
         # The solved recording was only a step on the way to the other results.
         write_report(gather(recording), folder / f"{name}.html")
     if task.is_solved and SOLVED not in task.to:
         (folder / f"{name}.mcap").unlink()
-    return note or recording.defect
+    return "; ".join(filter(None, [note or recording.defect, *lacks])) or None
 
 
-def _export(recording: Recording, task: Task, folder: Path, name: str) -> None:
+def _export(recording: Recording, task: Task, folder: Path, name: str) -> list[str | None]:
+    """Write the formats that are asked for; return what of the motion each cannot hold."""
     wanted = [kind for kind in task.to if kind in FORMATS]
     if not wanted:
-        return
-    arrays = recording.skeleton_arrays()
+        return []
+    arrays, lacks = recording.skeleton_arrays(), []
     for kind in wanted:
         exported = FORMATS[kind]
         take = take_of(arrays, name, Axes(task.axes) if task.axes else exported.axes, recording)
-        exported.write(take, folder / f"{name}{exported.suffix}", task.units_per_m or exported.units_per_m)
+        unit = task.units_per_m or exported.units_per_m
+        lacks.append(exported.write(take, folder / f"{name}{exported.suffix}", unit))
+    return lacks
 
 
 def _source(recording: Recording, task: Task) -> Source:

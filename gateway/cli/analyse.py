@@ -48,7 +48,9 @@ class TableKind(StrEnum):
 
 
 def analyse_file(
-    file: Annotated[Path, typer.Argument(help="Recording, or trial of markers (C3D, TRC) with --subject.")],
+    file: Annotated[
+        Path, typer.Argument(help="Recording, or trial of markers (C3D, TRC, …) with --subject.")
+    ],
     subject: Annotated[
         str | None, typer.Option("--subject", "-s", help="Subject file of `optical fit`, for trials.")
     ] = None,
@@ -184,9 +186,9 @@ def _motion(
 
     if file.suffix.lower() not in MARKER_SUFFIXES:
         if subject is not None:
-            raise GatewayError(f"--subject goes with trials of markers (C3D, TRC); {file} is none")
+            raise GatewayError(f"--subject goes with trials of markers (C3D, TRC, …); {file} is none")
         if person is not None:
-            raise GatewayError(f"--person goes with trials of markers (C3D, TRC); {file} is none")
+            raise GatewayError(f"--person goes with trials of markers (C3D, TRC, …); {file} is none")
         recording = open_recording(file)
         return recording.skeleton_arrays(progress), recording.meta.suit, None
     if subject is None:

@@ -70,7 +70,7 @@ def export(
     """Write a recording as BVH, C3D, glTF, TRC, CSV, Parquet, for OpenSim, ROS 2 or Foxglove.
 
     Instants that were not recorded, and orientations that were not known, are interpolated; how many is
-    told. C3D, Parquet and glTF need the extra `export`, Foxglove needs `foxglove`. ros2 and foxglove keep the
+    told. Parquet and glTF need the extra `export`, Foxglove needs `foxglove`. ros2 and foxglove keep the
     recorded instants, and interpolate nothing.
     """
     from gateway.recording import open_recording
@@ -86,7 +86,7 @@ def export(
         arrays = smoothed_arrays(recording, progress) if smooth else recording.skeleton_arrays(progress)
 
     takes: dict[Axes, Take] = {}
-    written = []
+    written, notes = [], []
     with progress_bar("writing", is_shown=not as_json) as progress:
         for done, (name, path) in enumerate(files.items()):
             progress(done, len(files))
@@ -94,11 +94,13 @@ def export(
             if wanted not in takes:
                 # Resampling takes longer than writing: formats with the same axes share one take.
                 takes[wanted] = replace(take_of(arrays, file.stem, wanted, recording), mass_kg=mass)
-            FORMATS[name].write(takes[wanted], path, per_m)
+            notes.append(FORMATS[name].write(takes[wanted], path, per_m))
             written.append(_summary_of(name, path, takes[wanted], per_m))
 
     if mass is None and any(name == "osim" for name in to):
-        typer.echo("note: masses of the .osim are those of 75 kg: tell the person's with --mass", err=True)
+        notes.append("masses of the .osim are those of 75 kg: tell the person's with --mass")
+    for note in filter(None, notes):
+        typer.echo(f"note: {note}", err=True)
     if as_json:
         typer.echo(json.dumps(written, indent=2))
         return

@@ -43,6 +43,8 @@ MOST_REST_MM = 20.0
 """RMS: skin leaves 3 to 10."""
 LEAST_USED = 0.5
 """Of the points seen, that had a say in a pose."""
+_NAMED = 12
+"""Of a file's markers in a note."""
 LEAST_UPRIGHT = 0.9
 """Cosine between a body and an axis along which it stands, or lies."""
 MOST_UNEVEN = 1.15
@@ -115,7 +117,8 @@ class FitChoice:
 def fit(
     choice: FitChoice,
     files: Annotated[
-        list[Path], typer.Argument(help="Calibration trials, C3D or TRC: a static one first, then motion.")
+        list[Path],
+        typer.Argument(help="Calibration trials, C3D, TRC, TSV or CSV: a static one first, then motion."),
     ],
     marker_set: Annotated[
         str | None,
@@ -236,7 +239,9 @@ def _fit_outcome(found: Fit, files: list[Path], target: Path) -> dict[str, objec
         "functional": found.is_functional,
         "strained": list(found.strained),
         "ghosts": dict(found.ghosts),
+        "exchanged": dict(found.exchanged),
         "backwards": list(found.backwards),
+        "turned": list(found.turned),
         "too_few": {name: list(labels) for name, labels in found.too_few.items()},
         "lengths_mm": lengths_mm,
         "uneven": uneven_sides(lengths_mm),
@@ -267,12 +272,23 @@ def _worn(found: Fit, name: str) -> str:
     return " ".join(label for label, where in on if where == segment)
 
 
+def _turned(found: Fit) -> list[tuple[str, str]]:
+    """Return the joints whose segments are turned about, each with the markers on that segment."""
+    distal = {joint.name: joint.distal for joint in found.skeleton.joints}
+    return [(name, _worn(found, found.skeleton.segment_names[distal[name]])) for name in found.turned]
+
+
 def fit_doubts(found: Fit) -> list[str]:
     """Return what speaks against the files, a sentence each."""
     doubts = []
     if found.ghosts:
         by_marker = ", ".join(f"{label} {count}" for label, count in found.ghosts.items())
         doubts.append(f"points far from the markers beside them were left out ({by_marker})")
+    if found.exchanged:
+        by_marker = ", ".join(f"{label} {count}" for label, count in found.exchanged.items())
+        doubts.append(
+            f"left and right were exchanged in part of a trial, and put right (frames: {by_marker})"
+        )
     if found.markers.vertical.startswith("-"):
         axis = found.markers.vertical[1:]
         doubts.append(f"{axis} points down in the files; a person on the hands is told with --up {axis}")
@@ -280,6 +296,16 @@ def fit_doubts(found: Fit) -> list[str]:
         doubts.append(
             f"{' and '.join(found.backwards)} bend backwards: left and right are exchanged in the markers' "
             "names, or an axis of the file points the other way (a mirrored world)"
+        )
+    doubts += [
+        f"{name} is turned about: do two of the markers beyond it ({beyond}) have each other's name?"
+        for name, beyond in _turned(found)
+    ]
+    if found.strangers and (found.left_out or found.too_few):
+        names = ", ".join(found.strangers[:_NAMED]) + (", …" if len(found.strangers) > _NAMED else "")
+        doubts.append(
+            f"the set has no {names}: rename those that sit on a segment that is left out as the set "
+            "calls them, or describe them in a file and name it with --set"
         )
     if found.is_still:
         doubts.append(
@@ -377,7 +403,7 @@ Method = Annotated[
 
 
 def solve(
-    file: Annotated[Path, typer.Argument(help="Trial, C3D or TRC.")],
+    file: Annotated[Path, typer.Argument(help="Trial, C3D, TRC, TSV or CSV.")],
     subject: Subject,
     person: Person = None,
     method: Method = "default",
@@ -439,7 +465,7 @@ def _check_export(path: Path, trial: Path, name: str, force: bool) -> None:
 
 
 def play(
-    file: Annotated[Path, typer.Argument(help="Trial, C3D or TRC.")],
+    file: Annotated[Path, typer.Argument(help="Trial, C3D, TRC, TSV or CSV.")],
     subject: Annotated[
         list[str],
         typer.Option(
@@ -615,7 +641,7 @@ def _print_solved(done: SolvedTrial) -> None:
 
 
 def serve(
-    file: Annotated[Path, typer.Argument(help="Trial, C3D or TRC.")],
+    file: Annotated[Path, typer.Argument(help="Trial, C3D, TRC, TSV or CSV.")],
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port to serve on; 0: any that is free.")
     ] = DEFAULT_PORT,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from devices.deferred import Deferred
+from devices.marker_files import holds_markers
 from devices.vendor_formats.sheets import FormatError
 from gateway.body.rig import load_body
 from gateway.errors import GatewayError
@@ -160,6 +161,11 @@ def detected(paths: Sequence[Path], options: ReadOptions) -> str:
     for name, marks in _MARKS.items():
         if any(mark in head for mark in marks):
             return name
+    if holds_markers(head):
+        raise FormatError(
+            f"{path} holds markers: `mocap-gateway optical fit` makes a body of them, `optical solve` a "
+            "recording"
+        )
     if b"DataType=Quaternion" in head:
         raise FormatError(
             f"{path} holds orientations as OpenSense has them: import the files of the modules themselves"

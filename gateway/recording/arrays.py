@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, IntArray, MarkerFit, SkeletonFrame, StatusArray
+
+_AT_ONCE = 1024
+_STACKED = ("q_wb", "p_w", "angular_rate", "joint_acceleration", "sigma", "status")
 
 
 @dataclass(frozen=True)
@@ -85,27 +90,30 @@ def arrays_of(frames: Iterable[SkeletonFrame], skeleton: Skeleton) -> SkeletonAr
 
     Raises ``ValueError`` for a frame of another number of segments.
     """
-    kept = list(frames)
-    if not kept:
+    remaining = iter(frames)
+    # Frames take several times the memory of their numbers: some at a time are stacked.
+    pieces = [_stacked(some, skeleton) for some in iter(lambda: list(islice(remaining, _AT_ONCE)), [])]
+    if not pieces:
         return None
+    joined: dict[str, Any] = {
+        name: np.concatenate([piece.pop(name) for piece in pieces]) for name in list(pieces[0])
+    }
+    return SkeletonArrays(skeleton=skeleton, **joined)
+
+
+def _stacked(frames: list[SkeletonFrame], skeleton: Skeleton) -> dict[str, Any]:
+    """Return the fields of ``SkeletonArrays`` for some frames."""
     # A recording may hold poses of two suits, as after a reload; they cannot be stacked.
-    odd = next((frame for frame in kept if len(frame.status) != skeleton.n_segments), None)
+    odd = next((frame for frame in frames if len(frame.status) != skeleton.n_segments), None)
     if odd is not None:
         raise ValueError(
             f"frame {odd.sequence} has {len(odd.status)} segments, skeleton '{skeleton.name}' "
             f"{skeleton.n_segments}"
         )
-    return SkeletonArrays(
-        time_ns=np.array([frame.time_ns for frame in kept], dtype=np.int64),
-        sequence=np.array([frame.sequence for frame in kept], dtype=np.int64),
-        q_wb=np.stack([frame.q_wb for frame in kept]),
-        p_w=np.stack([frame.p_w for frame in kept]),
-        angular_rate=np.stack([frame.angular_rate for frame in kept]),
-        joint_acceleration=np.stack([frame.joint_acceleration for frame in kept]),
-        sigma=np.stack([frame.sigma for frame in kept]),
-        status=np.stack([frame.status for frame in kept]),
-        skeleton=skeleton,
-    )
+    return {
+        "time_ns": np.array([frame.time_ns for frame in frames], dtype=np.int64),
+        "sequence": np.array([frame.sequence for frame in frames], dtype=np.int64),
+    } | {name: np.stack([getattr(frame, name) for frame in frames]) for name in _STACKED}
 
 
 def marker_arrays(

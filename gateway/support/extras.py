@@ -7,7 +7,7 @@ import importlib.util
 from devices.extras import how_to_add
 from gateway.errors import GatewayError
 
-_EXPORT = {"ezc3d": ("C3D", "export"), "pygltflib": ("glTF", "export"), "pyarrow": ("Parquet", "export")}
+_EXPORT = {"pygltflib": ("glTF", "export"), "pyarrow": ("Parquet", "export")}
 _NEEDED_BY = _EXPORT | {"foxglove": ("Foxglove", "foxglove"), "viser": ("the page", "viewer")}
 """By name of a package: what needs it, and the extra that brings it."""
 _VIDEO = {"cv2": "OpenCV", "ai_edge_litert": "ai-edge-litert"}

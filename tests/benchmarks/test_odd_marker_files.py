@@ -50,6 +50,8 @@ def test_every_file_can_be_read_or_is_refused_in_one_line(tmp_path: Path, case: 
             "two trials",
             "n/a",
             "-nan",
+            "markers lost",
+            "no rate",
         )
     )
     assert bool(found.notes) == is_faulty

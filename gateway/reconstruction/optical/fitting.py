@@ -30,7 +30,7 @@ from gateway.reconstruction.optical.bundle import (
     with_sigmas,
 )
 from gateway.reconstruction.optical.ghosts import other_sizes
-from gateway.reconstruction.optical.joint_ranges import bent_backwards, shown_joints
+from gateway.reconstruction.optical.joint_ranges import bent_backwards, shown_joints, turned_about
 from gateway.reconstruction.optical.landmarks import (
     Measured,
     SegmentPlaces,
@@ -126,12 +126,18 @@ class Fit:
     """m: ``rmse``, had the motion decided alone; NaN where no joint strains."""
     ghosts: Mapping[str, int] = field(default_factory=dict)
     """Points far from all that sits beside their marker, by its name in the files: they had no say."""
+    exchanged: Mapping[str, int] = field(default_factory=dict)
+    """Frames in which a left marker had the name of the right one, by its name in the files: put right."""
     other_sizes: Mapping[str, float] = field(default_factory=dict)
     """Trials whose markers are farther apart or nearer than those of the first, and how many times."""
     other_axes: Mapping[str, str] = field(default_factory=dict)
     """Trials in which another axis points up than in the first, and which: they were turned."""
     backwards: tuple[str, ...] = ()
     """Joints that bend only to the side to which they cannot, or whose segments are turned about."""
+    turned: tuple[str, ...] = ()
+    """Joints whose segment is turned about, where nothing bends backwards on both sides."""
+    strangers: tuple[str, ...] = ()
+    """Names in the files that are none of the set's."""
     is_still: bool = False
     """Whether nothing moves in any of the trials."""
 
@@ -193,6 +199,7 @@ def fit_body(
     final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
     if progress is not None:
         progress(2, 2)
+    backwards = bent_backwards(marker_set.body, final, done.poses)
     own_labels = tuple(dressed.file_labels[label] for label in markers.labels)
     sized = resized(marker_set, final.offsets, tips)
     return Fit(
@@ -211,9 +218,12 @@ def fit_body(
         strained=found.strained,
         rmse_free=found.rmse_free,
         ghosts=dressed.ghosts,
+        exchanged=dressed.exchanged,
         other_sizes=other_sizes(marker_set, trials),
         other_axes=other_axes,
-        backwards=bent_backwards(marker_set.body, final, done.poses),
+        backwards=backwards,
+        strangers=dressed.strangers,
+        turned=() if backwards else tuple(turned_about(marker_set.body, done.poses)),
         is_still=all(_largest_stray(sighting.markers) < _STILL for sighting in sightings),
     )
 

@@ -1,4 +1,6 @@
-"""What distances between markers tell: points that are not what they are called, trials of two people."""
+"""What distances between markers tell: points that are not what they are called, trials of two people.
+
+Before there is a body that could: the solver questions names by that."""
 
 from __future__ import annotations
 
@@ -7,6 +9,7 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from devices.marker_files import MarkerTrial
 from gateway.frames import FloatArray, IntArray
@@ -20,6 +23,84 @@ _TIMES = 2.5
 _MORE_M = 0.05
 """Farther apart than so many times as usual and so much more: no joint bends two markers of neighbouring
 segments so far apart."""
+
+
+_LONGEST_GAP_S = 0.1
+"""Over which a pair's last places tell which is which."""
+_LEAP_M, _NEARER = 0.1, 0.5
+"""By so much, and by such a share, a pair goes less far if its names are exchanged."""
+
+
+def sides_kept(marker_set: MarkerSet, trial: MarkerTrial) -> tuple[MarkerTrial, Mapping[str, int]]:
+    """Return the trial with the left and the right marker of each pair where they go on from, and in how many
+    frames they had been exchanged, by the left one.
+
+    Exchanged names leap to the other side, both at once. Of the two stretches that is the wrong one in which
+    left lies to the right, by the markers of pelvis and head; the shorter, where those do not tell.
+    """
+    positions, found = trial.positions, dict[str, int]()
+    leftwards = _leftwards(marker_set, trial)
+    for pair in _pairs(marker_set):
+        if not {*pair} <= {*trial.labels}:
+            continue
+        columns = np.array([trial.labels.index(label) for label in pair])
+        is_other = _exchanged(trial.positions[:, columns], leftwards, _LONGEST_GAP_S * trial.rate_hz)
+        if is_other.any():
+            positions = positions.copy() if positions is trial.positions else positions
+            positions[np.ix_(is_other, columns)] = trial.positions[np.ix_(is_other, columns[::-1])]
+            found[pair[0]] = int(is_other.sum())
+    return (replace(trial, positions=positions), found) if found else (trial, {})
+
+
+def _pairs(marker_set: MarkerSet) -> list[tuple[str, str]]:
+    """Return the markers of left segments, each with the one at the same place of the right."""
+    own = marker_set.file.markers
+    return [
+        pair
+        for name, labels in own.items()
+        if name.startswith("left_")
+        and len(labels) == len(own.get(right := name.replace("left", "right", 1), []))
+        for pair in zip(labels, own[right], strict=True)
+    ]
+
+
+def _leftwards(marker_set: MarkerSet, trial: MarkerTrial) -> FloatArray:
+    """Return (F, 3) m, from right to left by markers of segments that have no side; 0 where none tells."""
+    on_middle = [
+        label
+        for name, labels in marker_set.file.markers.items()
+        if not name.startswith(("left_", "right_"))
+        for label in labels
+    ]
+    lefts = [label for label in on_middle if label[0] == "L" and f"R{label[1:]}" in on_middle]
+    rights = tuple(f"R{label[1:]}" for label in lefts)
+    apart = trial.columns(tuple(lefts)) - trial.columns(rights)
+    summed: FloatArray = np.nan_to_num(apart).sum(axis=1)
+    return summed
+
+
+def _exchanged(pair: FloatArray, leftwards: FloatArray, longest_gap: float) -> NDArray[np.bool_]:
+    """Return in which frames the two points of a pair (F, 2, 3) have each other's name."""
+    is_other = np.zeros(len(pair), dtype=bool)
+    seen = np.flatnonzero(np.isfinite(pair).all(axis=(1, 2)))
+    if len(seen) < _FEWEST_FRAMES:
+        return is_other
+    before, after = pair[seen[:-1]], pair[seen[1:]]
+    own = np.linalg.norm(after - before, axis=2).sum(axis=1)
+    crossed = np.linalg.norm(after - before[:, ::-1], axis=2).sum(axis=1)
+    leaps = (crossed < _NEARER * own) & (own - crossed > _LEAP_M) & (np.diff(seen) <= max(1.0, longest_gap))
+    if not leaps.any():
+        return is_other
+    turns = np.cumsum(leaps) % 2 == 1
+    to_left = ((pair[seen, 0] - pair[seen, 1]) * leftwards[seen]).sum(axis=1)[1:]
+    is_left = float(np.where(turns, -to_left, to_left).sum()) or 0.5 * len(turns) - turns.sum()
+    if is_left < 0:
+        turns = ~turns
+        is_other[: seen[0] + 1] = True
+    # A frame that sees only one of the two has the names of the one before it.
+    for first, last, other in zip(seen[1:], [*seen[2:], len(pair)], turns, strict=True):
+        is_other[first:last] = other
+    return is_other
 
 
 def without_ghosts(marker_set: MarkerSet, trial: MarkerTrial) -> tuple[MarkerTrial, Mapping[str, int]]:

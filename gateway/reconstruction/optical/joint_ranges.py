@@ -72,7 +72,7 @@ def bent_backwards(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) 
         bent, other = (-low, high) if is_forward else (high, -low)
         if bent > _BACKWARDS and other < _HARDLY:
             found.append(joint.name)
-    return _on_both_sides(found) or _on_both_sides(_turned_about(skeleton, poses))
+    return _on_both_sides(found) or _on_both_sides(turned_about(skeleton, poses))
 
 
 def _on_both_sides(names: Sequence[str]) -> tuple[str, ...]:
@@ -80,7 +80,7 @@ def _on_both_sides(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in names if name.replace("left_", "right_") in both.intersection(names))
 
 
-def _turned_about(skeleton: Skeleton, poses: Sequence[Pose]) -> list[str]:
+def turned_about(skeleton: Skeleton, poses: Sequence[Pose]) -> list[str]:
     """Return the joints that by the body file stay within ``_TURNED_ABOUT``, and in most poses do not."""
     R = np.stack([pose.R for pose in poses])
     found = []

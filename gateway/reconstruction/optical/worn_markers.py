@@ -13,7 +13,7 @@ from devices.marker_files.naming import spellings, spelt
 from devices.marker_files.trial import METRES
 from gateway.body.part import reduced
 from gateway.errors import GatewayError
-from gateway.reconstruction.optical.ghosts import without_ghosts
+from gateway.reconstruction.optical.ghosts import sides_kept, without_ghosts
 from gateway.reconstruction.optical.marker_set import MarkerSet, PointRule, load_marker_set, names_in
 from gateway.support.settings_files import shipped_folder
 
@@ -40,6 +40,10 @@ class Dressed:
     """Segments of the set's body that carry none of the markers."""
     ghosts: Mapping[str, int] = field(default_factory=dict)
     """Points that were left out since they lie far from the markers beside them, by name in the files."""
+    strangers: tuple[str, ...] = ()
+    """Names in the files that are none of the set's."""
+    exchanged: Mapping[str, int] = field(default_factory=dict)
+    """Frames in which a left marker had the name of the right one, by its name in the files."""
 
 
 def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str | None = None) -> Dressed:
@@ -50,7 +54,7 @@ def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str
     """
     names: dict[str, str] = {}
     called: list[MarkerTrial] = []
-    ghosts: Counter[str] = Counter()
+    ghosts, exchanged = Counter[str](), Counter[str]()
     for own in trials:
         trial = spelt(own, marker_set.labels, marker_set.other_names, person)
         seen = _seen(trial, marker_set.labels)
@@ -58,6 +62,8 @@ def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str
             raise GatewayError(_stranger(marker_set, own, trial))
         meant = spellings(own.labels, marker_set.labels, marker_set.other_names, person, own.name)
         names = {name: label for label, name in meant.items() if name in seen} | names
+        trial, swapped = sides_kept(marker_set, trial)
+        exchanged.update({names[name]: count for name, count in swapped.items()})
         trial, found = without_ghosts(marker_set, trial)
         ghosts.update({names[name]: count for name, count in found.items()})
         _refuse_wrong_unit(trial, marker_set)
@@ -65,7 +71,11 @@ def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str
     worn = worn_part(marker_set, names)
     _refuse_bare_root(marker_set, worn, called[0])
     left_out = tuple(name for name in marker_set.body.segment_names if name not in worn.body.segment_names)
-    return Dressed(worn, tuple(called), names, left_out, dict(ghosts))
+    own_names = dict.fromkeys(label for trial in trials for label in trial.labels if label)
+    strangers = tuple(
+        name for name in own_names if name not in {*names.values()} and not name.startswith("*")
+    )
+    return Dressed(worn, tuple(called), names, left_out, dict(ghosts), strangers, dict(exchanged))
 
 
 def worn_part(marker_set: MarkerSet, labels: Collection[str], without: Collection[str] = ()) -> MarkerSet:
@@ -169,7 +179,10 @@ def _stranger(marker_set: MarkerSet, trial: MarkerTrial, called: MarkerTrial) ->
     name, known = marker_set.file.name, _some_labels(trial.labels)
     if named := len({*marker_set.labels} & {*called.labels}):
         return _never_seen(trial, named, 0)
-    return f"{trial.name}: none of the markers of '{name}' is in it; it has {known}"
+    return (
+        f"{trial.name}: none of the markers of '{name}' is in it; it has {known}: name its markers in the "
+        "program that recorded them, or leave this trial out"
+    )
 
 
 def _never_seen(trial: MarkerTrial, named: int, seen: int) -> str:

@@ -27,8 +27,8 @@ class Format:
     """World axes unless others are asked for."""
     units_per_m: float
     """Length unit unless another is asked for: 1 m, 100 cm, 1000 mm."""
-    writer: Callable[[Take, Path, float], None]
-    """Take, file, units per metre."""
+    writer: Callable[[Take, Path, float], str | None]
+    """Take, file, units per metre; returns what of the take the file lacks, if anything."""
     package: str = ""
     """What it needs that is not always installed; empty: nothing."""
     follows: str = ""
@@ -45,15 +45,15 @@ class Format:
                 f"metre and {axes.value}: leave --axes and --unit out"
             )
 
-    def write(self, take: Take, path: Path, units_per_m: float) -> None:
-        """Write a file, whole or not at all.
+    def write(self, take: Take, path: Path, units_per_m: float) -> str | None:
+        """Write a file, whole or not at all; return what of the take it cannot hold, or None.
 
         Raises as ``check`` does, and ``GatewayError`` for a take that the format cannot hold and for a file
         that cannot be written.
         """
         self.check(take.axes, units_per_m)
         with writing(path), replacing_by_name(path) as made:
-            self.writer(take, made, units_per_m)
+            return self.writer(take, made, units_per_m)
 
 
 def _writer(name: str) -> Deferred:
@@ -65,9 +65,7 @@ FORMATS: dict[str, Format] = {
     "bvh": Format(
         ".bvh", "skeleton with joint rotations, for animation", Axes.Y_UP, 100.0, _writer("bvh.write")
     ),
-    "c3d": Format(
-        ".c3d", "joint centres, rotations, joint angles", Axes.Z_UP, 1000.0, _writer("c3d.write"), "ezc3d"
-    ),
+    "c3d": Format(".c3d", "joint centres, rotations, joint angles", Axes.Z_UP, 1000.0, _writer("c3d.write")),
     "sto": Format(
         ".sto", "orientations for OpenSim (OpenSense)", Axes.Y_UP, 1.0, _writer("opensim.write_sto")
     ),

@@ -96,7 +96,7 @@ def markers_of(take: Take) -> TakenMarkers | None:
 def rotated(q_wb: FloatArray, vectors: FloatArray) -> FloatArray:
     """Return vectors (S, 3) of segment axes in world axes, (F, S, 3), by orientations (F, S, 4)."""
     frames, segments = q_wb.shape[:2]
-    turned = rotation(q_wb).apply(np.broadcast_to(vectors, (frames, segments, 3)).reshape(-1, 3))
+    turned = rotation(q_wb).apply(np.tile(vectors, (frames, 1)))
     world: FloatArray = turned.reshape(frames, segments, 3)
     return world
 
@@ -117,32 +117,23 @@ def take_of(arrays: SkeletonArrays, name: str, axes: Axes, recording: Recording 
     """
     if len(arrays.time_ns) < 2:
         raise GatewayError(f"{name} has {len(arrays.time_ns)} frame(s): a motion needs two at least")
-    never = np.isnan(arrays.q_wb[:, :, 0]).all(axis=0)
-    known = arrays.q_wb.copy()
-    for s in np.flatnonzero(never):  # parents come first
-        parent = int(arrays.skeleton.parents[s])
-        if parent < 0:
-            raise GatewayError(
-                f"{name}: {arrays.segment_names[s]} never had an orientation, and all other segments hang "
-                "from it: leave it out with another rig (replay --with), or record it again"
-            )
-        known[:, s] = known[:, parent]
     rate_hz = arrays.rate_hz
     index = np.round((arrays.time_ns - arrays.time_ns[0]) * 1e-9 * rate_hz).astype(np.int64)
     grid = np.arange(index[-1] + 1)
-    q_wb, filled = _filled_orientations(known, index, grid)
-    filled[:, never] = True
+    q_wb, filled = _filled_orientations(_known_orientations(arrays, name), index, grid)
+    filled[:, _never_known(arrays)] = True
     turn = Rotation.from_euler("x", _TURNS_DEG[axes], degrees=True)
     angles = joint_angles(arrays.skeleton, q_wb)
-    world = (turn * rotation(q_wb)).as_quat(scalar_first=True).reshape(q_wb.shape)
+    for s in range(q_wb.shape[1]):  # one at a time, and in place: a long session is large
+        q_wb[:, s] = (turn * rotation(q_wb[:, s])).as_quat(scalar_first=True)
     places = _root_path(arrays, index, grid)
     return Take(
         name=name,
         skeleton=arrays.skeleton,
         rate_hz=rate_hz,
         begun_ns=int(arrays.time_ns[0]),
-        q_wb=world,
-        p_w=_chained(arrays.skeleton, world, turn.apply(places)),
+        q_wb=q_wb,
+        p_w=_chained(arrays.skeleton, q_wb, turn.apply(places)),
         joint_angles=angles,
         recorded=arrays,
         filled=filled,
@@ -150,6 +141,28 @@ def take_of(arrays: SkeletonArrays, name: str, axes: Axes, recording: Recording 
         begins_s=arrays.begins_s,
         recording=recording,
     )
+
+
+def _never_known(arrays: SkeletonArrays) -> NDArray[np.bool_]:
+    """Return which segments (S,) have no orientation in any frame."""
+    return np.asarray(np.isnan(arrays.q_wb[:, :, 0]).all(axis=0))
+
+
+def _known_orientations(arrays: SkeletonArrays, name: str) -> FloatArray:
+    """Return the recorded orientations, those that were never known as of the segment's parent.
+
+    Raises ``GatewayError`` for a root that was never known.
+    """
+    known = arrays.q_wb.copy()
+    for s in np.flatnonzero(_never_known(arrays)):  # parents come first
+        parent = int(arrays.skeleton.parents[s])
+        if parent < 0:
+            raise GatewayError(
+                f"{name}: {arrays.segment_names[s]} never had an orientation, and all other segments hang "
+                "from it: leave it out with another rig (replay --with), or record it again"
+            )
+        known[:, s] = known[:, parent]
+    return known
 
 
 def _filled_orientations(

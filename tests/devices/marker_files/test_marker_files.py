@@ -111,7 +111,7 @@ def test_trc_gaps_units_and_errors(tmp_path: Path) -> None:
         ([*lines[:6], re.sub(r"\d+\.\d+", "wide", lines[6]), *lines[7:]], "line 7: 'wide' and others are no"),
         ([*lines[:6], lines[6] + "\t1", *lines[7:]], "line 7: 125 coordinates where 123 are wanted"),
         ([*lines[:2], lines[2].replace("mm", "ell"), *lines[3:]], "Units is 'ell'"),
-        (["nothing", *lines[1:]], "line 1: not a TRC file"),
+        (["nothing", "at all", *lines[2:]], "line 1: not a TRC file"),
     ]:
         path = tmp_path / "t.trc"
         path.write_text("\n".join(edit))
@@ -184,7 +184,7 @@ def test_a_trc_whose_header_does_not_fit_is_taken_and_told(tmp_path: Path, chang
 def test_what_is_no_marker_file_is_refused_with_what_to_do(tmp_path: Path) -> None:
     table = tmp_path / "walk.xlsx"
     table.write_bytes(b"PK rows")
-    with pytest.raises(FormatError, match=r"end in \.c3d or \.trc.*: have the program .* export"):
+    with pytest.raises(FormatError, match=r"end in \.c3d, \.trc, .*: have the program .* export"):
         read_markers(table)
     with pytest.raises(FormatError, match="is a folder: name the marker files in it"):
         read_markers(tmp_path)
@@ -303,3 +303,49 @@ def test_a_message_from_the_past_is_dropped() -> None:
     line = encode_markers(0, 50, ["A"], [[0.0, 0.0, 0.0]])
     assert len(receiver.receive(Chunk(line + line, 60, "m"))) == 1
     assert receiver.dropped["not_later"] == 1
+
+
+def _trc(*head: str, rows: str = "1\t0.00\t1\t2\t3\n2\t0.02\t4\t5\t6\n") -> str:
+    names = "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits"
+    return "\n".join([*head, names, "{values}", "Frame#\tTime\tLASI", "\t\tX1\tY1\tZ1", rows])
+
+
+@pytest.mark.parametrize(
+    ("text", "rate_hz", "last", "notes"),
+    [
+        (_trc("PathFileType").replace("{values}", "50\t50\t2\t1\tmm"), 50.0, 6e-3, 0),
+        (_trc("", "# by a program", "pathfiletype").replace("{values}", "50\t50\t2\t1\tmm"), 50.0, 6e-3, 0),
+        (_trc().replace("{values}", "50\t50\t2\t1\tm"), 50.0, 6.0, 0),
+        (_trc("PathFileType").replace("{values}", "0\t0\t2\t1\tmm"), 50.0, 6e-3, 1),
+        (_trc("PathFileType").replace("{values}", "50\t50\t2\t1\t"), 50.0, 6.0, 1),
+        (_trc("PathFileType").replace("\tUnits", "").replace("{values}", "50\t50\t2\t1"), 50.0, 6.0, 1),
+        (
+            _trc("PathFileType", rows="1\t0.00\t1000\t2\t3\n2\t0.02\t4\t5\t6\n")
+            .replace("LASI", "LASI\tLASI\tLASI")
+            .replace("{values}", "50\t50\t2\t1\t"),
+            50.0,
+            6e-3,
+            0,
+        ),
+    ],
+)
+def test_a_header_may_be_incomplete(
+    tmp_path: Path, text: str, rate_hz: float, last: float, notes: int
+) -> None:
+    path = tmp_path / "t.trc"
+    path.write_text(text)
+    trial = read_markers(path)
+    assert (trial.labels, trial.rate_hz, len(trial.notes)) == (("LASI",), pytest.approx(rate_hz), notes)
+    assert trial.positions[1, 0, 2] == pytest.approx(last)
+
+
+def test_a_row_may_end_before_markers_that_were_not_seen(tmp_path: Path) -> None:
+    labels = [f"M{n}" for n in range(10)]
+    full = "\t".join(str(n) for n in range(30))
+    rows = "\n".join([f"1\t0.00\t{full}", "2\t0.02\t" + "\t".join(full.split("\t")[:27]), f"3\t0.04\t{full}"])
+    text = _trc("PathFileType", rows=rows).replace("LASI", "\t\t\t".join(labels))
+    path = tmp_path / "t.trc"
+    path.write_text(text.replace("{values}", "50\t50\t3\t10\tmm"))
+    trial = read_markers(path)
+    assert np.isfinite(trial.positions[:, :9]).all()
+    assert np.isnan(trial.positions[:, 9]).all(axis=1).tolist() == [False, True, False]

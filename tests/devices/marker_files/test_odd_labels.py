@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from devices.marker_files.naming import spellings
-from devices.marker_files.trial import label_notes, seen_points
+from devices.marker_files.trial import joined_pieces, seen_points
 from devices.vendor_formats.sheets import FormatError
 
 WANTED = ("LASI", "RASI", "LPSI", "RPSI", "LTHI", "LKNE", "C7")
@@ -22,6 +22,18 @@ def test_what_stands_before_and_behind_all_labels_is_no_part_of_them():
     assert _all([f"Anna Maria_Lee_{label}" for label in WANTED]) == list(WANTED)
     assert _all([f"{label}-1" for label in WANTED]) == list(WANTED)
     assert _all([f"model.{label.lower()}_pos" for label in WANTED]) == list(WANTED)
+
+
+def test_letters_before_all_labels_and_sides_written_before_are_no_part_of_them():
+    assert _all([f"Ana{label}" for label in WANTED]) == list(WANTED)
+    assert _all([f"S01{label}" for label in WANTED]) == list(WANTED)
+    sides = {"L": "Left", "R": "Right"}
+    assert _all([sides.get(label[0], label[0]) + label[1:] for label in WANTED]) == list(WANTED)
+
+
+def test_a_side_that_all_labels_begin_with_stays():
+    left = ("LASI", "LPSI", "LTHI", "LKNE", "LTIB")
+    assert spellings(left, (*left, *(f"R{label[1:]}" for label in left))) == {label: label for label in left}
 
 
 def test_a_subject_with_a_suffix_finds_its_markers_in_a_trial_without():
@@ -62,6 +74,25 @@ def test_clusters_that_are_numbered_are_no_people():
 
 
 def test_names_that_several_points_have_are_told():
-    assert label_notes(("A", "B", "A", "", "", "*1", "*1"), "f.trc") == (
-        "f.trc: several markers are called A: the first of each counts",
+    labels, points = ("A", "B", "A", "", "", "*1", "*1"), np.ones((2, 7, 3))
+    assert joined_pieces(labels, points, "f.trc") == (
+        labels,
+        points,
+        ("f.trc: several markers are called A: the first of each counts",),
     )
+
+
+@pytest.mark.parametrize("again", ["LASI", "LASI_1", "LASI - 2", "LASI (3)"])
+def test_a_trajectory_in_pieces_is_one_marker(again):
+    points = np.full((6, 3, 3), np.nan)
+    points[:3, 0], points[4:, 2], points[:, 1] = 1.0, 2.0, 3.0
+    labels, joined, (note,) = joined_pieces(("LASI", "RASI", again), points, "f.trc")
+    assert labels == ("LASI", "RASI")
+    assert joined[:, 0, 0].tolist()[:3] == [1.0] * 3
+    assert joined[4:, 0, 0].tolist() == [2.0, 2.0]
+    assert "LASI in pieces" in note
+
+
+def test_markers_that_are_seen_together_are_no_pieces():
+    labels = ("LTHI", "LTHI_1", "LTH1", "A_1", "A_2")
+    assert joined_pieces(labels, np.ones((2, 5, 3)), "f.trc")[0] == labels

@@ -107,6 +107,14 @@ def test_mvnx_keeps_its_segments_and_its_axes(typed, tmp_path):
     np.testing.assert_allclose(knee, np.tile([40, 0, 0], (len(knee), 1)), atol=0.02)
 
 
+@pytest.mark.parametrize("text", ["PathFileType\t4\n", "Format Version,1.23\n", "NO_OF_FRAMES\t3\n"])
+def test_markers_are_sent_to_where_they_are_read(typed, tmp_path, text):
+    path = tmp_path / "walk.csv"
+    path.write_text(text)
+    with pytest.raises(FormatError, match="holds markers: `mocap-gateway optical fit`"):
+        typed("import", path)
+
+
 def test_nothing_that_is_no_recording_is_taken_for_one(typed, tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(b"\x00\x01" * 20)

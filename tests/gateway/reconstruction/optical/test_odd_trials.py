@@ -16,7 +16,7 @@ from gateway.cli.optical import fit_doubts, optical_app
 from gateway.errors import GatewayError
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.fitting import fit_body
-from gateway.reconstruction.optical.ghosts import without_ghosts
+from gateway.reconstruction.optical.ghosts import sides_kept, without_ghosts
 from gateway.reconstruction.optical.landmarks import vertical_axis
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.pose_solver import body_model
@@ -229,3 +229,64 @@ def test_a_second_trial_in_one_file_is_left_out_and_told(tmp_path):
     read = read_markers(path)
     assert read.n_frames == 4
     assert "from line 10 on another trial: left out" in read.notes[0]
+
+
+LEG = ("THI", "KNE", "TIB", "ANK", "HEE", "TOE")
+
+
+def with_sides_exchanged(trial: MarkerTrial, names: tuple[str, ...], frames: slice) -> MarkerTrial:
+    places = trial.positions.copy()
+    for name in names:
+        left, right = trial.labels.index(f"L{name}"), trial.labels.index(f"R{name}")
+        places[frames, left] = trial.positions[frames, right]
+        places[frames, right] = trial.positions[frames, left]
+    return replace(trial, positions=places)
+
+
+@needs_data
+@pytest.mark.parametrize("frames", [slice(20, 30), slice(None, 20), slice(20, None), slice(5, 60)])
+@pytest.mark.parametrize("names", [LEG, ("KNE", "ANK"), ("ELB", "WRA", "WRB")])
+def test_sides_that_are_exchanged_for_a_while_are_put_right(frames, names):
+    trial = read_markers(DATA / "c3d_pycgm" / "Movement_trial.c3d")
+    trial = replace(trial, positions=trial.positions[::5], rate_hz=trial.rate_hz / 5)
+    marker_set = fitting_set([trial])
+    kept, found = sides_kept(marker_set, with_sides_exchanged(trial, names, frames))
+    np.testing.assert_array_equal(kept.positions, trial.positions)
+    assert set(found) == {f"L{name}" for name in names}
+    assert set(found.values()) == {len(range(*frames.indices(trial.n_frames)))}
+
+
+@needs_data
+@pytest.mark.parametrize("thinned", [1, 3, 8])
+def test_sides_that_are_right_stay(thinned):
+    for name in ("c3d_pycgm/Movement_trial.c3d", "c3d_ktk/kinematics_tennis_serve.c3d"):
+        trial = read_markers(DATA / name)
+        trial = replace(trial, positions=trial.positions[::thinned], rate_hz=trial.rate_hz / thinned)
+        assert sides_kept(fitting_set([trial]), trial) == (trial, {})
+
+
+@needs_data
+def test_exchanged_sides_move_no_joint_and_are_told(walk):
+    trial = replace(walk, rate_hz=walk.rate_hz / 12)
+    marker_set = fitting_set([trial])
+    expected = fit_body(marker_set, [trial])
+    found = fit_body(marker_set, [with_sides_exchanged(trial, LEG, slice(9, 15))])
+    np.testing.assert_allclose(found.skeleton.offsets, expected.skeleton.offsets, atol=1e-9)
+    assert any("left and right were exchanged in part of a trial" in doubt for doubt in fit_doubts(found))
+
+
+@needs_data
+def test_a_foot_that_is_turned_about_is_doubted(walk):
+    names = {"LHEE": "LTOE", "LTOE": "LHEE"}
+    odd = replace(walk, labels=tuple(names.get(label, label) for label in walk.labels))
+    found = fit_body(fitting_set([odd]), [odd])
+    assert found.turned == ("left_ankle",)
+    assert "left_ankle is turned about: do two of the markers beyond it (LHEE LTOE)" in fit_doubts(found)[0]
+
+
+@needs_data
+def test_names_that_the_set_lacks_are_told_where_a_limb_is_left_out(walk):
+    odd = replace(walk, labels=tuple(f"Hand {label}" if "FIN" in label else label for label in walk.labels))
+    found = fit_body(fitting_set([odd]), [odd])
+    assert {"left_hand", "right_hand"} == {*found.left_out}
+    assert any("the set has no " in doubt and "rename" in doubt for doubt in fit_doubts(found))

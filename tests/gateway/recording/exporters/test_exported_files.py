@@ -22,6 +22,7 @@ from gateway.errors import GatewayError
 from gateway.frames import Status
 from gateway.recording import SkeletonArrays
 from gateway.recording.arrays import MarkerArrays
+from gateway.recording.exporters import c3d as c3d_format
 from gateway.recording.exporters.axes import Axes
 from gateway.recording.exporters.formats import FORMATS
 from gateway.recording.exporters.take import take_of
@@ -335,6 +336,41 @@ def test_markers_go_along_in_trc_and_c3d(tmp_path):
     found = ezc3d.c3d(str(tmp_path / "walk.c3d"))
     column = found["parameters"]["POINT"]["LABELS"]["value"].index("LASI")
     assert found["data"]["meta_points"]["residuals"][0, column, 5] == pytest.approx(5.0, abs=0.05)
+
+
+def test_a_c3d_is_the_same_written_in_pieces(tmp_path, monkeypatch):
+    _, path = exported("c3d", tmp_path)
+    whole = path.read_bytes()
+    monkeypatch.setattr(c3d_format, "_FRAMES_AT_ONCE", 7)
+    exported("c3d", tmp_path)
+    assert path.read_bytes() == whole
+
+
+def test_a_c3d_leaves_out_rotations_whose_place_it_cannot_tell(tmp_path, monkeypatch):
+    ezc3d = pytest.importorskip("ezc3d")
+    monkeypatch.setattr(c3d_format, "_LAST_BLOCK", 100)
+    take, path = take_of(ARRAYS, "walk", Axes.Z_UP), tmp_path / "walk.c3d"
+    assert "no rotations" in FORMATS["c3d"].write(take, path, 1000.0)
+    read = ezc3d.c3d(str(path))
+    assert "ROTATION" not in read["parameters"]
+    np.testing.assert_allclose(read["data"]["points"][:3, 0].T, 1000 * take.p_w[:, 0], rtol=1e-6)
+
+
+def test_a_c3d_has_more_labels_than_one_list_holds(tmp_path):
+    ezc3d = pytest.importorskip("ezc3d")
+    labels = tuple(f"M{n}" for n in range(300))
+    arrays = with_markers()
+    markers = replace(
+        arrays.markers,
+        labels=labels,
+        positions=np.tile(arrays.markers.positions[:, :1], (1, 300, 1)),
+        virtual=np.tile(arrays.markers.virtual[:, :1], (1, 300, 1)),
+        used=np.tile(arrays.markers.used[:, :1], (1, 300)),
+    )
+    path = tmp_path / "walk.c3d"
+    FORMATS["c3d"].write(take_of(replace(arrays, markers=markers), "walk", Axes.Z_UP), path, 1000.0)
+    assert read_markers(path).labels[-300:] == labels
+    assert ezc3d.c3d(str(path))["data"]["points"].shape[1] == len(read_markers(path).labels)
 
 
 def test_a_take_made_from_a_file_keeps_the_files_own_time(tmp_path):
