@@ -6,6 +6,7 @@ wrote; here files are read from the front, up to their end or the last good byte
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import struct
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import zstandard
 from mcap.exceptions import McapError
+from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
@@ -112,7 +114,7 @@ class RecordingFile:
     def records(self) -> Iterator[ContentRecord]:
         """Yield everything that is no index: for copying a file."""
         self.defect, self.damaged_chunks = None, 0
-        count = 0
+        count, known = 0, set[int]()
         for record in self._outer_records():
             if not isinstance(record, Chunk):
                 if isinstance(record, Schema | Channel | Message | Attachment | Metadata):
@@ -123,13 +125,26 @@ class RecordingFile:
             # One damaged chunk does not end the file: the chunks after it are read as usual.
             except DAMAGE:
                 self.damaged_chunks += 1
+                # A channel is named in the chunk of its first message alone, and once more after all data.
+                missing = [each for each in self._channels_at_end() if each.id not in known]
+                known.update(each.id for each in missing)
+                yield from missing
                 continue
             count += len(inner)
             for part in inner:
                 if isinstance(part, Schema | Channel | Message):
                     yield part
+                if isinstance(part, Channel):
+                    known.add(part.id)
         if self.damaged_chunks and self.defect is None:
             self.defect = f"{self.path}: {self.damaged_chunks} damaged pieces were left out"
+
+    def _channels_at_end(self) -> list[Channel]:
+        """Return the channels that the end of the file names; none where it has no end."""
+        with contextlib.suppress(*DAMAGE), self.path.open("rb") as file:
+            summary = SeekingReader(file, record_size_limit=LARGEST_RECORD).get_summary()
+            return [] if summary is None else list(summary.channels.values())
+        return []
 
     def _outer_records(self) -> Iterator[McapRecord]:
         """Yield records up to the end of the data; set ``defect`` where that is not the end of the file."""

@@ -20,7 +20,6 @@ from pydantic import (
 )
 
 from devices.link import SUIT
-from gateway.contract.names import RECORDING_NAME
 from gateway.errors import SettingsError, nearest
 from gateway.outputs.settings import MqttSettings, OutputsSettings
 from gateway.reconstruction import (
@@ -40,6 +39,7 @@ from gateway.sources.makers import OthersLinkSettings
 from gateway.sources.registry import SOURCES, refuse_unsuited
 from gateway.support.credentials import AccessToken, token_for
 from gateway.support.log_format import LogFormat
+from gateway.support.names import PLAIN_NAME, RECORDING_NAME
 from gateway.support.settings_files import load_settings, load_yaml
 
 METRICS_TOKEN_VARIABLE = "MOCAP_METRICS_TOKEN"
@@ -279,7 +279,7 @@ class BodySettings(_Strict):
     """One more person whose markers come by the same links."""
 
     name: str = Field(
-        pattern=r"^[A-Za-z0-9_-]+$",
+        pattern=PLAIN_NAME,
         description="poses are published as those of the gateway <gateway>_<name>, and recorded by that name",
     )
     subject: str = Field(min_length=1, description="file of `optical fit`")
@@ -313,7 +313,7 @@ class GatewaySettings(_Strict):
     """Everything."""
 
     gateway: str = Field(
-        default="gateway1", pattern=r"^[A-Za-z0-9_-]+$", description="name in topics: mocap/<gateway>/…"
+        default="gateway1", pattern=PLAIN_NAME, description="name in topics: mocap/<gateway>/…"
     )
     links: list[AnyLinkSettings] = Field(min_length=1, description="where bytes come from")
     rig: str = Field(description="which module sits where: name of a shipped rig, or path of a rig file")

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 from rich.console import Console
@@ -17,6 +18,9 @@ from firmware_protocol.dbc import ALL_SENSORS, render
 from gateway.errors import GatewayError, nearest
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
 from gateway.support.whole_files import write_whole
+
+if TYPE_CHECKING:
+    from gateway.body.skeleton import WornSuit
 
 config_app = typer.Typer(
     help="Check a configuration file, show what may stand in one, make a key, describe a suit's CAN bus.",
@@ -40,13 +44,21 @@ def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configu
         link_of(link, settings.mqtt, lambda: settings.mqtt.port)
     Console().print(
         f"[green]{escape(str(file))} is good[/green]: gateway '{settings.gateway}', {len(settings.links)} "
-        f"link(s), {len(suit.module_ids)} modules on body '{escape(suit.skeleton.name)}', "
+        f"link(s), {_worn(suit)} on body '{escape(suit.skeleton.name)}', "
         f"{settings.assembly.rate_hz:g} Hz, reconstructor '{settings.reconstructor}'{_late(settings)}, "
         f"broker {settings.mqtt.broker} {escape(settings.mqtt.host)}:{settings.mqtt.port}",
         soft_wrap=True,
     )
     if settings.reconstructor == "articulated" and suit.sun is None:
         _print_unobserved(unobserved_headings(suit))
+
+
+def _worn(suit: WornSuit) -> str:
+    """Return what the poses of a body come from: its modules, its markers, or the cameras before it."""
+    video = suit.camera_position.person.video if suit.camera_position is not None else suit.video
+    counts = [(len(suit.module_ids), "modules"), (len(suit.marker_labels), "markers")]
+    counts += [(len(video.cameras), "cameras")] if video is not None else []
+    return ", ".join(f"{n} {what}" for n, what in counts if n) or "0 modules"
 
 
 def _print_unobserved(headings: Mapping[str, tuple[int, ...]]) -> None:

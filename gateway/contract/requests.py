@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from firmware_protocol import MAX_MODULE
-from gateway.contract.names import KEPT_FILE, RECORDING_NAME
 from gateway.errors import GatewayError, nearest
 from gateway.support.former_names import current
+from gateway.support.names import IN_WORDS, KEPT_FILE, RECORDING_NAME
 
 
 class Request(BaseModel):
@@ -450,4 +450,5 @@ def asked(family: str, verb: str, data: Mapping[str, Any]) -> Request:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise GatewayError(f"{family}/{verb}: '{where}': {first['msg']}") from error
+        wanted = IN_WORDS.get(first.get("ctx", {}).get("pattern", ""), first["msg"])
+        raise GatewayError(f"{family}/{verb}: '{where}': {wanted}") from error

@@ -129,14 +129,10 @@ def read(paths: Sequence[Path], name: str, options: ReadOptions) -> Recording:
 
 def _has_stuck_field(track: ModuleTrack) -> bool:
     """Return whether a magnetometer repeats one reading while its module turns. At rest any may."""
-    from gateway.reconstruction.module_faults import FIELD_STUCK_TURN, FIELD_TURNING  # noqa: PLC0415
+    from gateway.reconstruction.module_faults import gives_one_field  # noqa: PLC0415
 
-    field = track.magnetic_field[np.isfinite(track.magnetic_field).all(axis=1)]
-    if len(field) < 2 or np.ptp(field, axis=0).any():
-        return False
-    rate = np.linalg.norm(track.angular_rate[1:], axis=1)
-    turned = np.nansum(np.where(rate > FIELD_TURNING, rate, 0.0) * np.diff(track.times))
-    return bool(turned > FIELD_STUCK_TURN)
+    dt = np.diff(track.times, prepend=track.times[:1])
+    return gives_one_field(track.magnetic_field, track.angular_rate, dt)
 
 
 def detected(paths: Sequence[Path], options: ReadOptions) -> str:

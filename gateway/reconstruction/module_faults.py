@@ -5,7 +5,9 @@ for a while, though other modules' have, is stuck. (If none changes, they may be
 rest: none is called stuck.) Gyroscopes alone are stuck when they repeat themselves while they turn, or while
 the specific force shows that the module moves: sooner than at rest, where coarse sensors may repeat
 themselves. A magnetometer alone is stuck when it repeats itself while the gyroscopes turn: longer than slow
-magnetometers take between two readings.
+magnetometers take between two readings. That is a broken sensor, and whoever wears it is told, whatever the
+method. A magnetometer that works but whose field turns with the module, as of iron on it, never repeats
+itself; the filter alone can find and needs to leave out such a one: ``inertial/tree/stuck.py``.
 """
 
 from __future__ import annotations
@@ -51,7 +53,7 @@ class Repeats(Record):
     field: Vector  # last
     field_unchanged_s: float
     turned: float  # since the field changed, rad
-    has_stuck_field: int  # 1 in the newest frame
+    has_stuck_field: int  # 1 in the newest frame that has a field
 
 
 class RepeatState(NamedTuple):
@@ -84,8 +86,9 @@ def watch_repeats(
     lively, lively_rates = 0, 0
     for i in range(m):
         module = modules[i]
-        module.is_stuck, module.has_stuck_field = 0, 0
+        module.is_stuck = 0
         if status[i] > 1:  # held by the gateway, or missing: the assembler's matter
+            module.has_stuck_field = 0
             continue
         force_changed, rate_changed = False, False
         for k in range(3):
@@ -113,6 +116,9 @@ def watch_repeats(
 @compiled
 def _watch_field(module: Repeats, field: FloatArray, rate: FloatArray, dt: float) -> None:
     """Set ``has_stuck_field`` of a module: its magnetometer repeats itself while the module turns."""
+    module.field_unchanged_s += dt
+    if norm(rate) > FIELD_TURNING:
+        module.turned += norm(rate) * dt
     if not norm(field) >= 0.0:  # NaN: a slow magnetometer has no reading for every frame
         return
     changed = False
@@ -121,12 +127,22 @@ def _watch_field(module: Repeats, field: FloatArray, rate: FloatArray, dt: float
         module.field[k] = field[k]
     if changed:
         module.field_unchanged_s, module.turned = 0.0, 0.0
-        return
-    module.field_unchanged_s += dt
-    if norm(rate) > FIELD_TURNING:
-        module.turned += norm(rate) * dt
     is_stuck = module.field_unchanged_s >= FIELD_STUCK_S and module.turned >= FIELD_STUCK_TURN
     module.has_stuck_field = int(is_stuck)
+
+
+def gives_one_field(field: FloatArray, rate: FloatArray, dt: FloatArray) -> bool:
+    """Return whether a magnetometer gives one reading throughout, and its module turns.
+
+    field, rate: (T, 3) as sent, NaN: no reading. dt: (T,) since the sample before, s.
+    """
+    readings = field[np.isfinite(field).all(axis=1)]
+    if len(readings) < 2 or np.ptp(readings, axis=0).any():
+        return False
+    module = initial_repeats(1).modules[0]
+    for now in zip(field, rate, dt, strict=True):
+        _watch_field(module, *now)
+    return bool(module.has_stuck_field)
 
 
 @compiled

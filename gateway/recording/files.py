@@ -18,8 +18,8 @@ from devices import recording_format as fmt
 from devices.link import gateway_time_ns
 from devices.recording_file import RecordingError, part_path
 from devices.recording_writer import RecordingWriter, session_record
-from gateway.contract.names import RECORDING_NAME
 from gateway.settings import RecordingSettings
+from gateway.support.names import IN_WORDS, RECORDING_NAME
 
 log = logging.getLogger(__name__)
 
@@ -209,7 +209,5 @@ class SessionFiles:
 def _checked(name: str | None) -> str | None:
     """Return the name itself, or none. Raises ``RecordingError`` for one that could mean another folder."""
     if name is not None and not re.fullmatch(RECORDING_NAME, name):
-        raise RecordingError(
-            f"'{name[:80]}' is no name for a recording: up to 64 letters, digits, '-' and '_', and no path"
-        )
+        raise RecordingError(f"'{name[:80]}' is no name for a recording: {IN_WORDS[RECORDING_NAME]}")
     return name

@@ -22,7 +22,6 @@ from mcap.reader import SeekingReader
 
 from devices import recording_format as fmt
 from devices.recording_file import DAMAGE, LARGEST_RECORD, RecordingError
-from gateway.contract.names import KEPT_FILE
 from gateway.contract.requests import (
     ExportRecordingRequest,
     ListRecordingsRequest,
@@ -38,6 +37,7 @@ from gateway.recording.pose_encoding import decode_skeleton_frame
 from gateway.recording.reading import Recording
 from gateway.recording.summary import recordings_in, summarise
 from gateway.settings import RecordingSettings
+from gateway.support.names import KEPT_FILE
 
 _UNNAMED = "{name}: a name of up to 128 letters a to z, digits, '-', '_' and '.' is wanted here: rename it"
 _LONGEST_QUOTED = 60

@@ -4,7 +4,8 @@ What is served is gathered in the event loop that owns it. A loop that does not 
 health check is there to find out.
 
 With a token, whoever does not show it (``Authorization: Bearer TOKEN``) gets no metrics, and of the health
-the one word that a container's health check needs.
+the one word that a container's health check needs. Without one the same holds for whoever asks under a name
+that is not this machine's: a page of another site, whose name is made to point here, reads nothing.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ import json
 import logging
 import socket
 import threading
-from collections.abc import Callable, Mapping
+import urllib.parse
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import TimeoutError as NoAnswer
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -27,7 +29,7 @@ from prometheus_client.exposition import choose_encoder
 
 from gateway.errors import OutputError
 from gateway.service.metrics import GatewayFigures, registry_of
-from gateway.support.credentials import AccessToken
+from gateway.support.credentials import AccessToken, is_loopback
 from gateway.support.crowd import Crowd, CrowdedError
 
 log = logging.getLogger(__name__)
@@ -193,6 +195,14 @@ class _Head:
         self._connection.close()
 
 
+def _host_name(hosts: Sequence[str]) -> str:
+    """Return the name under which a client knows this server; empty if its headers name none, or several."""
+    with contextlib.suppress(ValueError):
+        (host,) = hosts
+        return urllib.parse.urlsplit(f"//{host}").hostname or ""
+    return ""
+
+
 class _Handler(BaseHTTPRequestHandler):
     owner: MetricsServer
     timeout = FIRST_REQUEST_S
@@ -240,11 +250,17 @@ class _Handler(BaseHTTPRequestHandler):
 
     @property
     def _may_read(self) -> bool:
-        kind, _, shown = self.headers.get("Authorization", "").partition(" ")
         token = self.owner.token
-        return token is None or (kind.lower() == "bearer" and token.matches(shown.strip()))
+        if token is None:
+            return is_loopback(_host_name(self.headers.get_all("Host", [])))
+        kind, _, shown = self.headers.get("Authorization", "").partition(" ")
+        return kind.lower() == "bearer" and token.matches(shown.strip())
 
     def _refuse(self) -> None:
+        if self.owner.token is None:
+            why = "without a token (metrics.token_file) these are served as localhost and 127.0.0.1 only"
+            self._answer_json(HTTPStatus.FORBIDDEN, {"error": why})
+            return
         error = {"error": "a token is wanted: Authorization: Bearer TOKEN (metrics.token_file has it)"}
         self._answer(
             HTTPStatus.UNAUTHORIZED,

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 from gateway.errors import SettingsError, nearest
 from gateway.support import yaml_text
 from gateway.support.former_names import current
+from gateway.support.names import IN_WORDS
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -67,12 +68,16 @@ def load_yaml(path: Path) -> Any:
         return current(yaml_text.load(_text_of(path)))
     except FileNotFoundError:
         raise SettingsError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{path}: cannot be read: {error}") from error
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{path}: is no text in UTF-8 (byte {error.start}): save it as UTF-8") from error
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not YAML"
+        if r"'\t'" in problem:
+            problem = "a tab where spaces are wanted: indent with spaces"
         raise SettingsError(f"{path}:{where} {problem}") from error
 
 
@@ -117,7 +122,11 @@ def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | N
 def _numbers_from_truths(
     given: Any, read: Any, place: tuple[object, ...] = ()
 ) -> Iterator[tuple[object, ...]]:
-    """Yield the places where ``true``, ``yes`` or the like was read as 1: pydantic takes it for a number."""
+    """Yield the places where ``true``, ``yes`` or the like was read as 1: pydantic takes it for a number.
+
+    A number type of our own would have to be named at each of hundreds of settings, and one forgotten would
+    take truths again.
+    """
     if isinstance(given, bool):
         if isinstance(read, (int, float)) and not isinstance(read, bool):
             yield place
@@ -157,7 +166,8 @@ def _explain(problem: Any, model: type[BaseModel]) -> str:
     where = _place(problem["loc"])
     if problem["type"] == "missing":
         return f"'{where}' is missing"
-    message = problem["msg"].removeprefix("Value error, ")
+    pattern = problem.get("ctx", {}).get("pattern", "")
+    message = IN_WORDS.get(pattern, problem["msg"]).removeprefix("Value error, ")
     shown = "…" if _SECRET.search(where) else as_shown(problem["input"])
     return _shortened(f"'{where}' is {shown}: {message}" if where else message, _LONGEST_LINE)
 

@@ -85,10 +85,23 @@ class _Loader(yaml.SafeLoader):
         if isinstance(node, SequenceNode):
             children = node.value
         elif isinstance(node, MappingNode):
+            _refuse_repeated(node)
             children = [each for pair in node.value for each in pair]
         elif not isinstance(node, ScalarNode):
             raise _problem("no plain value", node)
         return 1 + sum(self._sizes[id(child)] for child in children)
+
+
+def _refuse_repeated(node: MappingNode) -> None:
+    """Refuse a name that stands twice in one map: the latter alone would count, in silence."""
+    lines: dict[str, int] = {}
+    for key, _ in node.value:
+        if not isinstance(key, ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
+            continue
+        name, line = f"{key.tag} {key.value}", key.start_mark.line + 1
+        if name in lines:
+            raise _problem(f"'{key.value[:80]}' stands here and in line {lines[name]}: leave one out", key)
+        lines[name] = line
 
 
 def _problem(text: str, at: Any) -> yaml.MarkedYAMLError:

@@ -63,7 +63,7 @@ def _why_red(is_reporting: bool, lost: str, doubt: str, language: str) -> str:
     if not is_reporting:
         return translated(language, "remedy_silent", tab=translated(language, "tab"))
     if doubt:
-        return translated(language, "why_doubtful", why=doubt)
+        return doubt
     return translated(language, "remedy_lossy") if float(lost) > _LOSSY_PERCENT else ""
 
 

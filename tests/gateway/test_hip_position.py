@@ -19,6 +19,7 @@ from gateway.recording.video import video_subject, video_suit
 from gateway.service.accounting import balances_of
 from gateway.settings import GatewaySettings
 from gateway.sources.link_settings import LinkSettings
+from tests.typed_here import typed_here
 
 CAMERAS = ring_of_cameras(3)
 N, TURN, LATENCY_MS = 8, 90.0, 40
@@ -126,6 +127,23 @@ def test_a_hip_that_nobody_sees_gives_no_reading(seen):
     ]
     _, observed, _ = fed(load_rig(str(folder / "rig.yaml")), [*instants[:-1], nobody])
     assert len([reading for frame in observed for reading in frame.local]) == N - 1
+
+
+@pytest.mark.parametrize(
+    ("rig", "carries", "told"),
+    [
+        ("anna.yaml", "heat_maps", "3 cameras on body"),
+        ("rig.yaml", "heat_maps", "1 modules, 3 cameras on body"),
+    ],
+)
+def test_checked_settings_name_the_cameras(seen, rig, carries, told):
+    folder, *_ = seen
+    path = folder / "gateway.yaml"
+    link = {"name": "cameras", "url": "mqtt:///a/+", "carries": carries}
+    path.write_text(yaml.safe_dump({"rig": rig, "links": [link]}))
+    code, output, errors = typed_here(["config", "check", path])
+    assert (code, errors) == (0, "")
+    assert told in output
 
 
 def test_cameras_without_a_device_or_a_subject_without_cameras_are_refused(seen, tmp_path):

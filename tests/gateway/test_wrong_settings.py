@@ -302,6 +302,15 @@ def test_a_truth_value_is_no_number(setting, written, tmp_path):
         load_gateway_settings(path)
 
 
+@pytest.mark.parametrize("setting", ["gateway: a/b", "recording: {name: ../a}"])
+def test_a_name_that_is_none_is_refused_in_words(setting, tmp_path):
+    path = tmp_path / "gateway.yaml"
+    path.write_text("rig: single\nlinks: [{name: suit, url: tcp://127.0.0.1:7000}]\n" + setting)
+    with pytest.raises(GatewayError, match="letters a to z, digits") as refused:
+        load_gateway_settings(path)
+    assert "pattern" not in str(refused.value)
+
+
 def test_a_truth_value_in_a_list_is_no_number(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text("body: single\nmodules:\n  - {id: true, segment: body, position: [yes, 0, 0]}\n")

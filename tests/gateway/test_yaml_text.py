@@ -27,6 +27,8 @@ HARMFUL = {
     "a deep list": ("a: " + "[" * 300, "more than 40 deep"),
     "a deep block": ("\n".join("  " * i + "a:" for i in range(60)), "more than 40 deep"),
     "code": ("!!python/object/apply:os.system ['true']\n", "could not determine a constructor"),
+    "a name twice": ("rig: a\nbody: b\nrig: c\n", "line 3, column 1 'rig' stands here and in line 1"),
+    "a tab": ("rig: a\n\tbody: b\n", "indent with spaces"),
     "a long number": ("a: " + "1" * 5000, "a value cannot be read"),
     "a date of no calendar": ("a: 2026-99-99\n", "a value cannot be read"),
 }
@@ -45,6 +47,9 @@ def test_harm_is_refused_in_one_short_line(name, tmp_path):
 
 def test_a_file_that_is_something_else(tmp_path):
     path = tmp_path / "file.yaml"
+    path.write_bytes(b"rig: su\xeft\n")
+    with pytest.raises(SettingsError, match=r"no text in UTF-8.*: save it as UTF-8"):
+        load_yaml(path)
     path.write_bytes(b"#" * (yaml_text.LARGEST_TEXT + 1))
     with pytest.raises(SettingsError, match="larger than 4 MiB: it is another file"):
         load_yaml(path)

@@ -16,7 +16,8 @@ The place is a Kalman filter per world axis over the module of the skeleton's ro
 the error of the acceleration (tilt error leaks gravity into it). Predicted by the module's own acceleration
 ``R f + g``; while a contact segment rests, the point it stands on has no velocity (zero-velocity update,
 Foxlin 2005, with the legs' kinematics between) and stays where it was. Feet take over from each other without
-a step, as each is held where the filter has it. All axes but the vertical share one covariance.
+a step, as each is held where the filter has it. On a level floor the height is not held but measured: what
+rests is on the floor. All axes but the vertical share one covariance.
 """
 
 from __future__ import annotations
@@ -177,8 +178,6 @@ LONGEST_FLIGHT_S = 1.5
 """No jump lasts longer: then the feet's modules are silent or stuck, and the body stays in place."""
 HALT_S = 0.5
 """Time constant with which it halts then, and comes back to the floor."""
-FLOOR_S = 0.05
-"""Time constant with which a contact is drawn to the floor: a running foot is on it for 0.1 s."""
 
 
 class ContactPlace(Record):
@@ -298,6 +297,8 @@ def advance_position(
                 gap = body.x[:, 0] + r[c] - anchor
                 anchor += gap * min(1.0, dt / RELAXATION_S)
 
+    if walk.has_floor:
+        _stand_on_floor(walker, stood_s, r, dt)
     _choose(walker, stood_s, dt)
     return body.x[:, 0] + to_root, body.standing
 
@@ -471,41 +472,59 @@ def _stands_elsewhere(walker: Walker, c: int) -> bool:
 def _stand(walker: Walker, c: int, stands_s: float, r: FloatArray, v_r: FloatArray, dt: float) -> None:
     """Observe that contact c has no velocity and, once it has settled, that it stays where it is.
 
+    Its height is left to a level floor, if there is one: a body that is held at a height it has got wrong
+    climbs with every step.
+
     r, v_r: (3,) position and velocity relative to the reference module, world.
     """
     walk, body, anchor = walker.walk, walker.body, walker.contacts[c].anchor
     scale = max(1.0, CORRELATION_S / dt)
-    _observe(body, 1, -v_r, CONTACT_SPEED**2 * scale)
+    for k in range(2):
+        _observe(body, k, 1, -v_r, CONTACT_SPEED**2 * scale)
+    n_held = 1 if walk.has_floor else 2
     if not is_finite(anchor):
         if stands_s < SETTLING_S:
             return
         anchor[:] = body.x[:, 0] + r
-        for k in range(2):  # from here on place means place relative to what is held
+        for k in range(n_held):  # from here on place means place relative to what is held
             for i in range(3):
                 body.P[k, 0, i], body.P[k, i, 0] = 0.0, 0.0
-    if walk.has_floor:
-        above = anchor[2] - walk.floor
-        anchor[2] -= above * (1.0 - math.exp(-dt / FLOOR_S))
-    _observe(body, 0, anchor - r, CONTACT_PLACE**2 * scale)
+    for k in range(n_held):
+        _observe(body, k, 0, anchor - r, CONTACT_PLACE**2 * scale)
 
 
 @compiled
-def _observe(body: Position, what: int, value: FloatArray, variance: float) -> None:
-    """Update the filter by a position (what 0), m, or velocity (1), m/s, of the reference module.
+def _stand_on_floor(walker: Walker, stood_s: FloatArray, r: FloatArray, dt: float) -> None:
+    """Observe that the lowest contact of all segments at rest is on the level floor.
 
-    value: (3,), world.
+    So it is even where the legs see it move, as legs of wrong lengths do. r: (c, 3) m, relative to the
+    reference module, world.
     """
-    for k in range(2):
-        P, x = body.P[k], body.x
-        row, total = (P[what, 0], P[what, 1], P[what, 2]), P[what, what] + variance
-        gain = row[0] / total, row[1] / total, row[2] / total
+    lowest, value = np.inf, np.zeros(3)
+    for c in range(len(walker.places)):
+        if stood_s[walker.places[c].segment] >= SETTLING_S and is_finite(r[c]):
+            lowest = min(lowest, r[c, 2])
+    if math.isfinite(lowest):
+        value[2] = walker.walk.floor - lowest
+        _observe(walker.body, 1, 0, value, CONTACT_PLACE**2 * max(1.0, CORRELATION_S / dt))
+
+
+@compiled
+def _observe(body: Position, k: int, what: int, value: FloatArray, variance: float) -> None:
+    """Update the filter's horizontal (k 0) or vertical (1) axes by a position or velocity.
+
+    It is that of the reference module, what 0: position, m; 1: velocity, m/s. value: (3,), world.
+    """
+    P, x = body.P[k], body.x
+    row, total = (P[what, 0], P[what, 1], P[what, 2]), P[what, what] + variance
+    gain = row[0] / total, row[1] / total, row[2] / total
+    for i in range(3):
+        for j in range(3):
+            P[i, j] -= gain[i] * row[j]
+    for axis in range(2 * k, 2 + k):
+        innovation = value[axis] - x[axis, what]
         for i in range(3):
-            for j in range(3):
-                P[i, j] -= gain[i] * row[j]
-        for axis in range(2 * k, 2 + k):
-            innovation = value[axis] - x[axis, what]
-            for i in range(3):
-                x[axis, i] += gain[i] * innovation
+            x[axis, i] += gain[i] * innovation
 
 
 @compiled

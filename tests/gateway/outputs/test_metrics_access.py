@@ -26,9 +26,10 @@ def figures():
     return GatewayFigures(info, (), (), 7, {}, {}, {}, None)
 
 
-async def get(port, path, authorization=None):
+async def get(port, path, authorization=None, host=None):
     def ask():
         headers = {} if authorization is None else {"Authorization": authorization}
+        headers |= {} if host is None else {"Host": host}
         try:
             asked = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers=headers)
             with urllib.request.urlopen(asked, timeout=PATIENCE_S) as answer:
@@ -62,6 +63,27 @@ async def test_with_the_token_all_of_it(token):
         assert "mocap_skeleton_frames_total 7.0" in text
         status, text, _ = await get(server.port, "/healthz", f"bearer {TOKEN}")
         assert (status, json.loads(text)) == (200, HEALTH)
+
+
+@pytest.mark.parametrize("host", ["attacker.example", "attacker.example:9464", "192.168.0.7", "[", ""])
+async def test_without_a_token_names_of_other_machines_get_one_word_of_health_and_no_metrics(host):
+    async with MetricsServer("127.0.0.1", 0, figures, lambda: HEALTH) as server:
+        status, text, _ = await get(server.port, "/metrics", host=host)
+        assert status == 403
+        assert "token_file" in text
+        status, text, _ = await get(server.port, "/healthz", host=host)
+        assert (status, json.loads(text)) == (200, {"status": "degraded"})
+
+
+@pytest.mark.parametrize("host", ["localhost:9464", "127.0.0.1", "[::1]:9464", "LOCALHOST"])
+async def test_without_a_token_names_of_this_machine_get_the_metrics(host):
+    async with MetricsServer("127.0.0.1", 0, figures, lambda: HEALTH) as server:
+        assert (await get(server.port, "/metrics", host=host))[0] == 200
+
+
+async def test_with_a_token_any_name_does():
+    async with MetricsServer("127.0.0.1", 0, figures, lambda: HEALTH, AccessToken(TOKEN)) as server:
+        assert (await get(server.port, "/metrics", f"Bearer {TOKEN}", "suit.example"))[0] == 200
 
 
 async def test_a_client_that_tells_its_request_byte_by_byte_is_hung_up_on(monkeypatch):

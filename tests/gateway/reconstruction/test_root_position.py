@@ -31,17 +31,38 @@ UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0]])
 NOTHING_FELT = np.full((1, 3), np.nan)
 
 
-def advanced(state: PositionState, n: int, force: np.ndarray = NOTHING_FELT, resting_s: float = 0.0):
+def advanced(
+    state: PositionState, n: int, force=NOTHING_FELT, resting_s=0.0, rate=(0.0, 0.0, 0.0), places=PLACES
+):
     """Root after n frames."""
     for _ in range(n):
         parents, offsets = np.array([-1]), np.zeros((1, 3))
-        walker = Walker(parents, offsets, PLACES, WALKS[0], state.body[0], state.contacts)
-        root, _ = advance_position(walker, UPRIGHT, np.zeros((1, 3)), force, np.array([resting_s]), DT)
+        walker = Walker(parents, offsets, places, WALKS[0], state.body[0], state.contacts)
+        root, _ = advance_position(walker, UPRIGHT, np.array([rate]), force, np.array([resting_s]), DT)
     return root
 
 
 def test_a_body_that_rests_begins_on_the_floor():
     assert advanced(initial_position(1), 1, resting_s=1.0) == pytest.approx([0.0, 0.0, FLOOR + POST_M])
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.4], ids=["held", "seen to slip"])
+def test_what_rests_comes_down_to_a_level_floor_whether_or_not_the_legs_see_it_move(rate):
+    """Legs whose lengths are wrong see every foot move that stands: the body climbed a stair at each step."""
+    state = initial_position(1)
+    advanced(state, 20, resting_s=1.0)
+    state.body["x"][0, 2, 0] += 0.2
+    state.contacts["anchor"][0, 2] += 0.2
+    root = advanced(state, 150, UPRIGHT[:, 1:] - GRAVITY, resting_s=1.0, rate=(0.0, rate, 0.0))
+    assert root[2] == pytest.approx(FLOOR + POST_M, abs=0.02)
+
+
+def test_of_two_contacts_at_rest_the_lower_is_on_the_floor():
+    """A foot on its ball: the heel above it is not drawn down."""
+    places = records(ContactPlace, 2)
+    places["point"] = [[0.0, 0.0, -POST_M], [0.2, 0.0, 0.1 - POST_M]]
+    root = advanced(initial_position(2), 200, UPRIGHT[:, 1:] - GRAVITY, resting_s=1.0, places=places)
+    assert root[2] == pytest.approx(FLOOR + POST_M, abs=1e-6)
 
 
 def test_after_the_longest_flight_the_body_halts_and_sinks_to_the_floor_with_one_time_constant():

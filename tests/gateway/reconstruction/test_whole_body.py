@@ -373,6 +373,20 @@ def test_a_magnetometer_that_repeats_itself_in_a_turn_is_left_out_and_named(suit
     assert suit.module_ids[4] not in named[-1]
 
 
+def test_a_stuck_magnetometer_that_is_read_seldom_is_named_in_every_frame(suit, walked):
+    state, frames = walked
+    reconstructor = WholeBodyReconstructor(suit, Seen(state))
+    named = []
+    for k, frame in enumerate(frames[300:700]):
+        field = np.full_like(frame.magnetic_field, np.nan)
+        if k % 5 == 0:
+            field = frame.magnetic_field.copy()
+            field[4] = (10.0, 20.0, 30.0)
+        reconstructor.update(replace(frame, magnetic_field=field))
+        named.append(set(reconstructor.doubts()))
+    assert named[300:] == [{suit.module_ids[4]}] * 100
+
+
 def test_a_magnetometer_at_rest_may_repeat_itself(suit, walked):
     state, frames = walked
     finder = Seen(state)

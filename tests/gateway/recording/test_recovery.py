@@ -6,9 +6,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 
 from devices import recording_format as fmt
-from devices.recording_file import RecordingError
+from devices.recording_file import RecordingError, RecordingFile
 from gateway.recording import open_recording
 from gateway.recording.recovery import recover, recover_in_place
 from gateway.recording.summary import recordings_in, summarise
@@ -116,3 +117,23 @@ def test_folders_are_listed_with_what_is_not_readable(whole):
     assert [isinstance(each, RecordingError) for each in found] == [False, True]
     with pytest.raises(RecordingError, match=r"there is no folder .*absent: the first `mocap"):
         list(recordings_in(path.parent / "absent"))
+
+
+def test_a_damaged_first_piece_costs_no_message_of_those_after_it(tmp_path):
+    """A channel is named within its first piece alone; poses of a whole recording were lost with one byte."""
+    path = tmp_path / "damaged.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=100, compression=CompressionType.ZSTD)
+        writer.start(fmt.PROFILE, "test")
+        writer.add_metadata(fmt.SESSION, {"format": str(fmt.FORMAT_VERSION), "links": "{}"})
+        channel = writer.register_channel(fmt.SKELETON, "bytes", 0, {})
+        for k in range(10):
+            writer.add_message(channel, k, bytes([k]) * 200, k)
+        writer.finish()
+    data = bytearray(path.read_bytes())
+    data[data.index(b"zstd") + 30] ^= 0xFF
+    path.write_bytes(data)
+    file = RecordingFile(path)
+    found = [(message.topic, message.data[0]) for message in file.messages()]
+    assert file.damaged_chunks == 1
+    assert found == [(fmt.SKELETON, k) for k in range(1, 10)]

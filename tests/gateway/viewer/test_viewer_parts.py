@@ -258,8 +258,8 @@ def test_the_module_table_names_the_silent_and_the_lossy():
     good = {**summary, "lost": 0}
     statistics = {"modules": {"1": good, "2": good}, "doubts": {"2": "worn <upside> down"}}
     rows = module_rows(health.model_copy(update={"statistics": statistics}), info)
-    assert [row[-1] for row in rows] == ["", "doubtful: worn <upside> down"]
-    assert "doubtful: worn &lt;upside&gt; down" in module_table(rows)
+    assert [row[-1] for row in rows] == ["", "worn <upside> down"]
+    assert "worn &lt;upside&gt; down" in module_table(rows)
 
 
 def test_the_strip_tells_modules_losses_and_disk():

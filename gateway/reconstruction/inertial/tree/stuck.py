@@ -2,6 +2,9 @@
 
 Any field of the surroundings turns against a module that turns. A value that does not, because its sensor
 hangs or because iron on the module outweighs everything, says nothing of a heading.
+
+One that hangs is found by ``module_faults.py`` too, before any method, by repeating its last bit. Here the
+readings may be noisy, and only the direction counts, turned as the filter knows it.
 """
 
 from __future__ import annotations

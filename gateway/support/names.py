@@ -1,0 +1,20 @@
+"""What names may look like that come from outside."""
+
+from __future__ import annotations
+
+RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
+"""Nothing that could mean another folder."""
+
+KEPT_FILE = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,127}$"
+"""Of a file in the folder of the recordings: nothing that could mean another folder, nothing hidden."""
+
+PLAIN_NAME = r"^[A-Za-z0-9_-]+$"
+"""Of a gateway, or a person: a level of a topic, and part of a file's name."""
+
+IN_WORDS = {
+    RECORDING_NAME: "a name of up to 64 letters a to z, digits, '-' and '_' is wanted, and no path",
+    KEPT_FILE: "a name of up to 128 letters a to z, digits, '-', '_' and '.' is wanted, and no path; "
+    "recording/list has them",
+    PLAIN_NAME: "a name of letters a to z, digits, '-' and '_' is wanted",
+}
+"""What to write instead, by the pattern that a name does not fit."""
