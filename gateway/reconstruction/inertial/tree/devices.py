@@ -19,7 +19,7 @@ from gateway.frames import FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records
-from gateway.reconstruction.inertial.tree.lever_arms import learn_device, learn_fixed_point, unknown_of_device
+from gateway.reconstruction.inertial.tree.lever_arms import learn_device, learn_fixed_point
 from gateway.reconstruction.inertial.tree.prediction import felt_into
 from gateway.reconstruction.inertial.tree.rows import known_row, row_variance, unobserved_known_row
 from gateway.reconstruction.inertial.tree.start import gather_heading, shown_heading, tilt_spread, turn_beyond
@@ -142,7 +142,7 @@ def _moving_row(body: Body, state: State, tuning: Tuning, work: Work, d: int) ->
         _level_only(pair.u, pair.y, body.world)
     variance = learning.variance
     is_unobserved = segment.heading == UNOBSERVED or now.turn[2] != 0.0
-    if not turns_too and _shows_world(body, state, tuning, work, d, interval):
+    if not turns_too and _shows_world(body, state, tuning, work, s, interval):
         is_unobserved = True
     if is_unobserved:
         unobserved_known_row(now, pair.u, pair.y, variance)
@@ -175,14 +175,13 @@ def _level_only(u: FloatArray, y: FloatArray, world: World) -> None:
 
 
 @compiled
-def _shows_world(body: Body, state: State, tuning: Tuning, work: Work, d: int, interval_s: float) -> bool:
-    """Gather what device d shows of its tree's heading in the world, while that is unobserved.
+def _shows_world(body: Body, state: State, tuning: Tuning, work: Work, s: int, interval_s: float) -> bool:
+    """Gather what a device on segment s shows of its tree's heading in the world, while that is unobserved.
 
     Equations (54) and (55); ``work.shared.pair`` and ``learning`` have the device's row. Once the heading is
     shown the whole tree turns to it. Returns whether it was unobserved: such a row must not count as if it
     was known.
     """
-    s = body.devices[d].segment
     root = _root_that_turns_with(body, state, s)
     if root < 0 or state.segments[root].heading == OBSERVED:
         return False
@@ -190,8 +189,6 @@ def _shows_world(body: Body, state: State, tuning: Tuning, work: Work, d: int, i
     if work.segments[s].turn[2] == 0.0:
         # (26) has counted already that readings share errors: the density, which counts that again, is undone
         uncertain = work.shared.learning.variance + tilt_spread(segment, tuning, interval_s)
-        lasting = max(1.0, tuning.tilt_memory_s / interval_s)
-        uncertain += unknown_of_device(state.devices[d], work.shared) * lasting
         gather_heading(sums, pair.u, pair.y, uncertain / tuning.heading_density, tuning, interval_s)
         variance, angle = shown_heading(sums, tuning)
         if variance > 0.0:

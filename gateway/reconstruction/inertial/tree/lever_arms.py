@@ -142,7 +142,10 @@ def learn_device(
     interval_s: time between its rows. Returns what the uncertainty of both adds to the row's variance,
     (m/s²)². The frames kept for the next fits are corrected by the accelerometer's error as well.
     """
-    _device_rows(shared)
+    rows, pair = shared.learning.rows, shared.pair
+    for i in range(3):
+        for j in range(3):
+            rows[i, j], rows[i, 3 + j] = -pair.arm[i, j], pair.turn[i, j]
     added = _learn_point(device, segment, shared, tuning, interval_s)
     change = shared.learning.change
     for k in range(len(device.history)):
@@ -153,22 +156,6 @@ def learn_device(
             for j in range(3):
                 frame.force[i] -= frame.R[i, j] * change[3 + j]
     return added
-
-
-@compiled
-def unknown_of_device(device: Device, shared: SharedWork) -> float:
-    """Return (46) of a moving point, (m/s²)²: what is unknown of its place and of the accelerometer."""
-    _device_rows(shared)
-    return _unknown_variance(device.covariance, shared.learning)
-
-
-@compiled
-def _device_rows(shared: SharedWork) -> None:
-    """Set ``learning.rows`` to the coefficients of (44) for a moving point, by ``shared.pair``."""
-    rows, pair = shared.learning.rows, shared.pair
-    for i in range(3):
-        for j in range(3):
-            rows[i, j], rows[i, 3 + j] = -pair.arm[i, j], pair.turn[i, j]
 
 
 @compiled
@@ -214,8 +201,11 @@ def learn_rows(P: FloatArray, learning: Learning, huber: float) -> float:
     before it.
     """
     rows, gains, scaled, found = learning.rows, learning.gains, learning.scaled, learning.found
-    variance, at_once, memory = learning.variance, learning.at_once, learning.memory
-    added = _unknown_variance(P, learning)
+    added, variance, at_once, memory = 0.0, learning.variance, learning.at_once, learning.memory
+    for i in range(3):
+        times_vector_into(gains[i], P, rows[i])
+        # (46) Σ a_i P_e a_iᵀ
+        added += _dot_six(rows[i], gains[i])
     for i in range(3):
         innovation, off = learning.residual[i], learning.off[i]
         for k in range(i):
@@ -239,20 +229,6 @@ def learn_rows(P: FloatArray, learning: Learning, huber: float) -> float:
             # (43) P_e ← P_e − k_i a_i P_e, all three at once
             P[a, b] -= x * gains[0, b] + y * gains[1, b] + z * gains[2, b]
             P[b, a] = P[a, b]
-    return added
-
-
-@compiled
-def _unknown_variance(P: FloatArray, learning: Learning) -> float:
-    """Return the mean variance that P (6, 6) gives to a component of ``learning.rows``, (46).
-
-    ``learning.gains`` is set to P times each row.
-    """
-    added = 0.0
-    for i in range(3):
-        times_vector_into(learning.gains[i], P, learning.rows[i])
-        # (46) ⅓ Σ a_i P_e a_iᵀ
-        added += _dot_six(learning.rows[i], learning.gains[i])
     return added / 3.0
 
 
