@@ -296,7 +296,8 @@ class Checked:
         kernels.learn_joint_arms(joint, learning, tuning, dt)
         self.compared["joint_arms"] += 1
         A, H = np.hstack([-now.K, above.K]), skew(0.5 * (now.u + now.u_parent))
-        off = np.diag(H @ (child.P + parent.P - child.C - child.C.T)[:3, :3] @ H.T)
+        D, lasts = (child.P + parent.P - child.C - child.C.T)[:3, :3], tuning.tilt_memory_s
+        off = np.diag(H @ D @ H.T) + D[2, 2] * H[:, 2] ** 2 * lasts / tuning.row_memory_s  # (42)
         memory = tuning.row_memory_s / min(child.arms.since_s, tuning.row_memory_s)
         e, P, added = learnt(
             child.arms.covariance, A, now.u - now.u_parent, off, memory, learning, tuning.huber
@@ -495,7 +496,7 @@ class Checked:
         force = state.segments[s].averages.force
         change = state.segments[s].force_bias - segment.force_bias
         np.testing.assert_allclose(force, segment.averages.force - R_bar @ change, atol=1e-9)  # (45)
-        v += added * tuning.row_memory_s / dt
+        v += added * max(1.0, tuning.tilt_memory_s / dt)  # (20)
         self.told("fixed_point", work, before, s, known(segment.P, u, y, v, tuning.huber))
 
     def point(self, tuning, work, d, state, was, A, u, y, interval_s):

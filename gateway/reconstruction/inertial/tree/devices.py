@@ -112,7 +112,8 @@ def _fixed_row(body: Body, state: State, tuning: Tuning, work: Work, d: int, dt:
     variance = row_variance(tuning, now.motion, dt)
     shared.learning.variance, shared.learning.at_once = variance, variance * dt / tuning.row_memory_s
     added = learn_fixed_point(device, segment, now, shared, tuning, dt)
-    variance += added * tuning.row_memory_s / dt
+    # (20) … + α_s max(1, 1 s / Δt)
+    variance += added * max(1.0, tuning.tilt_memory_s / dt)
     known_row(now, segment, pair.u, pair.y, variance, tuning)
 
 

@@ -97,9 +97,14 @@ def learn_joint_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float
             # (41) A = [−K_s  K_p]
             learning.rows[i, j], learning.rows[i, 3 + j] = -K[i, j], K_p[i, j]
     x, y, z = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])
-    off = spread(x, y, z, relative_covariance(child, parent))
+    D = relative_covariance(child, parent)
+    off = spread(x, y, z, D)
     for i in range(3):
         learning.residual[i], learning.off[i] = u[i] - u_p[i], off[i]
+    # (42) D_33 once more, for longer: arms would take a wrong heading for their own error
+    lasting = D[2] * tuning.tilt_memory_s / tuning.row_memory_s
+    learning.off[0] += lasting * y * y
+    learning.off[1] += lasting * x * x
     learning.variance = learning.at_once * tuning.row_memory_s / interval_s
     learning.memory = tuning.row_memory_s / interval_s
     arms.row_variance = learn_rows(arms.covariance, learning, tuning.huber)

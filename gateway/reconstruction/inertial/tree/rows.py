@@ -255,8 +255,8 @@ def _learn_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> 
         if not joint.link.is_bridged:
             for i in range(3):
                 now.U[i] = now.u[i]
-    # (20) … + α_s τ_m / Δt
-    now.row_variance += child.arms.row_variance * tuning.row_memory_s / dt
+    # (20) … + α_s max(1, 1 s / Δt)
+    now.row_variance += child.arms.row_variance * max(1.0, tuning.tilt_memory_s / dt)
 
 
 @compiled

@@ -52,7 +52,9 @@ class Tuning(Record):
         "after which a row counts: over less, it is mostly the noise of rates",
         "exp(−3) = 5 %",
     )
-    tilt_memory_s: float = constant(1.0, "s", "for how long an uncertain tilt stays, as rows see it", JUDGED)
+    tilt_memory_s: float = constant(
+        1.0, "s", "for how long an uncertain tilt or lever arm stays, as rows see it", JUDGED
+    )
     joint_nis_memory_s: float = constant(
         5.0,
         "s",
