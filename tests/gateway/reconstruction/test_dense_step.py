@@ -263,8 +263,8 @@ class Checked:
             return
         if is_unobserved:
             tilts = [0.5 * np.trace(one.P[:2, :2]) for one in (child, parent)]
-            lasts = max(1.0, tuning.tilt_memory_s / dt)
-            self.open_joint_row(now, joint.now.evidence, max(1.0, nis), max(tilts), lasts)
+            bent = 0.375 * max(tilts) ** 2 * (now.u @ now.u) * max(1.0, tuning.tilt_memory_s / dt)
+            self.open_joint_row(now, joint.now.evidence, max(1.0, nis), bent)
             return
         self.compared["joint_row"] += 1
         residual, H = now.u - now.u_parent, skew(0.5 * (now.u + now.u_parent))
@@ -282,12 +282,12 @@ class Checked:
         assert_close(told.cp - before.cp, -H.T @ H / variance)
         assert_close(told.c - before.c, H.T @ residual / variance)
 
-    def open_joint_row(self, now, told, inflation, tilt, lasts):
+    def open_joint_row(self, now, told, inflation, bent):
         """(13) without the column of the headings, section 12."""
         self.compared["open_joint_row"] += 1
         u, u_p, before = now.u, now.u_parent, now.evidence
-        variance = now.row_variance * inflation + 0.375 * tilt**2 * (u @ u) * lasts
-        wide = variance + (u[:2] @ u[:2] + u_p[:2] @ u_p[:2]) * lasts
+        variance = now.row_variance * inflation + bent
+        wide = variance + u[:2] @ u[:2] + u_p[:2] @ u_p[:2]
         V = np.diag([1.0 / wide, 1.0 / wide, 1.0 / variance])
         H, H_p = skew(u), -skew(u_p)
         H[:, 2], H_p[:, 2] = 0.0, 0.0

@@ -301,10 +301,9 @@ def joint_row(joint: Joint, is_unobserved: bool, tuning: Tuning, dt: float) -> N
         return
     variance *= inflation
     if is_unobserved:
-        lasts = max(1.0, tuning.tilt_memory_s / dt)
         tilt = 0.5 * max(child.P[0, 0] + child.P[1, 1], parent.P[0, 0] + parent.P[1, 1])
-        variance += SECOND_ORDER * tilt * tilt * dot(u, u) * lasts
-        _unobserved_joint_row(now, residual, variance, lasts)
+        variance += SECOND_ORDER * tilt * tilt * dot(u, u) * max(1.0, tuning.tilt_memory_s / dt)
+        _unobserved_joint_row(now, residual, variance)
         return
     variance *= _huber(off, residual, inflation * at_once, tuning.huber)
     # (13) u_s − u_p = [m̄]× (δ_s − δ_p)
@@ -312,14 +311,14 @@ def joint_row(joint: Joint, is_unobserved: bool, tuning: Tuning, dt: float) -> N
 
 
 @compiled
-def _unobserved_joint_row(now: SegmentWork, residual: Three, variance: float, lasts: float) -> None:
+def _unobserved_joint_row(now: SegmentWork, residual: Three, variance: float) -> None:
     """Add the row (13) where the heading against the parent is unknown.
 
-    Of the horizontal parts only the lengths count. lasts: rows for which an unknown heading stays.
+    Of the horizontal parts only the lengths count.
     """
     u, u_p = now.u, now.u_parent
     H, H_p = skew(u), skew(u_p)
-    wide = variance + lasts * (_horizontal_square(u) + _horizontal_square(u_p))
+    wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
     for i in range(3):
         H[i, 2], H_p[i, 2] = 0.0, 0.0
         for j in range(2):
