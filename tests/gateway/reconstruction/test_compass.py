@@ -129,7 +129,9 @@ def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has
     variance = kernels._compass_variance(body.segments, state.segments, work.segments, TUNING)
     assert has_field == (variance > 0.0)
     if has_field:
-        weight = np.where(seen, 1.0 / (variance + (angle - before) ** 2), 0.0)
+        counts = 1.0 / (1.0 + state.segments["compass"]["variance"] / TUNING.compass_clean**2)
+        counts = counts / counts[seen].max()
+        weight = np.where(seen, counts / (variance + (angle - before) ** 2), 0.0)
     else:  # what hangs together may turn as it does not know where it heads
         is_first = [segment.heading == Heading.UNOBSERVED.value for segment in state.segments]
         gives = state.segments["P"][:, 2, 2] ** 2 / TUNING.unknown_heading**2

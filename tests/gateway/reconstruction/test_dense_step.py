@@ -57,10 +57,14 @@ def outliers(residual, S, variance, huber):
 
 
 def known(P, u, y, variance, huber):
-    """(14): information matrix and vector about an orientation, of a vector u that is known to be y."""
+    """(14), (14a): information matrix and vector about an orientation, of a vector u known to be y."""
     H, r = skew(y), u - y
-    v = variance * outliers(r, np.diag(H @ P[:3, :3] @ H.T), variance, huber)
-    return H.T @ H / v, H.T @ r / v
+    S = np.diag(H @ P[:3, :3] @ H.T)
+    v = variance * outliers(r, S, variance, huber)
+    angle = np.arctan2(np.linalg.norm(np.cross(u, y)), u @ y)
+    whole = min(2.0 * np.tan(0.5 * angle) / np.sin(angle), 20.0) if angle > 1e-6 else 1.0
+    longer = 1.0 + S.sum() / (S.sum() + 3.0 * variance) * (whole - 1.0)
+    return H.T @ H / (v * longer**2), H.T @ r / (v * longer)
 
 
 def open_known(u, y, variance):
@@ -258,7 +262,9 @@ class Checked:
         if nis >= tuning.loose_nis:
             return
         if is_unobserved:
-            self.open_joint_row(now, joint.now.evidence, max(1.0, nis))
+            tilts = [0.5 * np.trace(one.P[:2, :2]) for one in (child, parent)]
+            bent = 0.375 * max(tilts) ** 2 * (now.u @ now.u) * max(1.0, tuning.tilt_memory_s / dt)
+            self.open_joint_row(now, joint.now.evidence, max(1.0, nis), bent)
             return
         self.compared["joint_row"] += 1
         residual, H = now.u - now.u_parent, skew(0.5 * (now.u + now.u_parent))
@@ -276,11 +282,11 @@ class Checked:
         assert_close(told.cp - before.cp, -H.T @ H / variance)
         assert_close(told.c - before.c, H.T @ residual / variance)
 
-    def open_joint_row(self, now, told, inflation):
+    def open_joint_row(self, now, told, inflation, bent):
         """(13) without the column of the headings, section 12."""
         self.compared["open_joint_row"] += 1
         u, u_p, before = now.u, now.u_parent, now.evidence
-        variance = now.row_variance * inflation
+        variance = now.row_variance * inflation + bent
         wide = variance + u[:2] @ u[:2] + u_p[:2] @ u_p[:2]
         V = np.diag([1.0 / wide, 1.0 / wide, 1.0 / variance])
         H, H_p = skew(u), -skew(u_p)

@@ -206,6 +206,7 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
     """
     links, segments, works = body.segments, state.segments, work.segments
     _compare(links, segments, works, body.world.is_tree == 1, tuning)
+    weigh_compasses(segments, works, tuning)
     variance = _compass_variance(links, segments, works, tuning)
     unseen = _turned_unseen(segments, works, tuning, dt)
     # (32) from leaves to root: what a segment and all beyond it say of its error
@@ -214,7 +215,7 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
         compass = segments[s].compass
         if compass.seconds > 0.0:
             off = now.unwrapped - compass.error
-            weight = 1.0 / (variance + off * off)
+            weight = now.knows / (variance + off * off)
             now.information += weight
             now.information_angle += weight * now.unwrapped
             now.information_turn += weight * now.turn[2]
@@ -243,6 +244,20 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
 
 
 @compiled
+def shows_world(links: Records[Link], segments: Records[Segment]) -> bool:
+    """Return whether anything but the field has shown, or can show, how the body heads in the world.
+
+    Where nothing does, ``P_33`` is what the segments began with. Each joint that finds a lost heading again
+    makes less of it, since a tree does not keep what the two sides of a silent segment had in common.
+    """
+    is_shown = False
+    for s in range(len(links)):
+        is_root = links[s].parent < 0 and links[s].heading_observable == 1
+        is_shown = is_shown or is_root or segments[s].sun.has_shown == 1
+    return is_shown
+
+
+@compiled
 def _compare(
     links: Records[Link],
     segments: Records[Segment],
@@ -260,6 +275,7 @@ def _compare(
     for s in range(len(links)):
         started += segments[s].started == STARTED
         has_compass = has_compass or segments[s].compass.seconds > 0.0
+    is_world_shown = shows_world(links, segments)
     for s in range(len(links)):
         segment, now, p = segments[s], works[s], links[s].parent
         before, now.information, now.information_angle, now.information_turn = 0.0, 0.0, 0.0, 0.0
@@ -270,7 +286,9 @@ def _compare(
             now.apart = max(segment.P[2, 2] + segments[p].P[2, 2] - 2.0 * shared, LEAST_APART)
         else:
             now.apart = give_of(segment, tuning)
-            if has_compass:
+            if has_compass and not is_world_shown:
+                now.apart = 1e3 * unknown
+            elif has_compass:
                 # each segment began with an unknown heading; joined, they seem to know more
                 known = 1.0 / max(segment.P[2, 2], LEAST_APART) - started / unknown
                 now.apart = 1.0 / max(known, 1e-3 / unknown)
@@ -302,6 +320,23 @@ def _expect_unobserved(segment: Segment, now: SegmentWork, has_parent: bool, tun
 
 
 @compiled
+def weigh_compasses(segments: Records[Segment], works: Records[SegmentWork], tuning: Tuning) -> None:
+    """Set ``knows`` of each segment, k_s of (32): 1 of the surest compass, 0 where there is none.
+
+    One whose module has turned unseen counts for little until it has looked again.
+    """
+    most = 0.0
+    for s in range(len(segments)):
+        compass, now = segments[s].compass, works[s]
+        now.knows = 0.0
+        if compass.seconds > 0.0:
+            now.knows = 1.0 / (1.0 + compass.variance / tuning.compass_clean**2)
+            most = max(most, now.knows)
+    for s in range(len(segments)):
+        works[s].knows /= max(most, 1e-12)
+
+
+@compiled
 def _compass_variance(
     links: Records[Link], segments: Records[Segment], works: Records[SegmentWork], tuning: Tuning
 ) -> float:
@@ -310,17 +345,17 @@ def _compass_variance(
     It is what norm and dip let expect, or more where compasses differ that by the motion should not. It is
     the same for all: with weights that change, the mean of compasses that are off differently would wander.
     """
-    seen, square, weights, differences = 0, 0.0, 0.0, 0.0
+    seen, square, weights, differences = 0.0, 0.0, 0.0, 0.0
     for s in range(len(links)):
         compass, now, p = segments[s].compass, works[s], links[s].parent
         if compass.seconds > 0.0:
-            seen += 1
-            square += compass.variance + compass.offset_square
+            seen += now.knows
+            square += now.knows * (compass.variance + compass.offset_square)
             if p >= 0 and segments[p].compass.seconds > 0.0:
-                weight = 1.0 / (1.0 + now.apart / tuning.compass_clean**2)
+                weight = now.knows * works[p].knows / (1.0 + now.apart / tuning.compass_clean**2)
                 weights += weight
                 differences += weight * (now.unwrapped - now.expected - works[p].unwrapped) ** 2
-    if seen == 0:
+    if seen == 0.0:
         return 0.0
     return max(square / seen, 0.5 * differences / max(weights, 1.0))
 

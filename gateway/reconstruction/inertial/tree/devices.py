@@ -66,6 +66,8 @@ def device_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float)
         device.age_s += dt
         if now.validity < FORCE:
             continue
+        if now.bridged_s > tuning.longest_bridge_s:
+            _forget_frames(device)
         if device.covariance[0, 0] == 0.0:
             for i in range(3):
                 device.covariance[i, i] = tuning.lever_arm_offset**2
@@ -283,6 +285,13 @@ def note_frame(device: Device, segment: Segment, now: SegmentWork, tuning: Tunin
             column = turn[0, i] * R[0, j] + turn[1, i] * R[1, j] + turn[2, i] * R[2, j]
             newest.R[i, j] = column
             newest.force[i] += column * f[j]
+
+
+@compiled
+def _forget_frames(device: Device) -> None:
+    """Forget what the segment felt: since then it has turned by nobody knows what."""
+    for j in range(N_HISTORY):
+        device.history[j].time_s = -np.inf
 
 
 @compiled

@@ -104,6 +104,7 @@ def _follow_sun(segment: Segment, now: SegmentWork, world: FloatArray, tuning: T
     tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
     variance = (now.sun_sigma**2 + tilt * world[2] ** 2) / across**2
     variance *= 1.0 + (height_off / tuning.sun_height_tolerance) ** 2
+    segment.sun.has_shown = 1
     if segment.heading == UNOBSERVED or heading_variance > tuning.sun_unsure**2:
         angle = _steady_turn(segment.sun, off, tuning, dt)
         if angle != 0.0:

@@ -13,7 +13,7 @@ import math
 from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import dot, skew
+from gateway.geometry.vectors import dot, norm, skew
 from gateway.reconstruction.inertial.tree.lever_arms import (
     is_due,
     learn_joint_arms,
@@ -56,20 +56,39 @@ from gateway.reconstruction.inertial.tree.update import Three, add_edge, add_joi
 
 OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
 FORCE, NOTHING = Validity.FORCE.value, Validity.NOTHING.value
+LEAST_COSINE = -0.9
+"""Of what is to be turned at once: of a vector that points the other way no axis is known."""
+SECOND_ORDER = 0.375
+"""Of the square of an angle's variance: mean square of its second order, as a share of the vector."""
 
 
 @compiled
 def known_row(
     now: SegmentWork, segment: Segment, u: FloatArray, y: FloatArray, variance: float, tuning: Tuning
 ) -> None:
-    """Add the row of a vector u (3,) of the segment that must equal y (3,) in the world, equation (14).
+    """Add the row of a vector u (3,) of the segment that must equal y (3,) in the world, (14) and (14a).
 
     variance: of each component, before outliers are weighed down by (17).
     """
     residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
     uncertain = spread(y[0], y[1], y[2], own_covariance(segment))
+    longer = _whole_turn(u, y, uncertain, variance)
     variance *= _huber(uncertain, residual, variance, tuning.huber)
-    add_known(now.evidence, (y[0], y[1], y[2]), residual, variance)
+    turn = longer * residual[0], longer * residual[1], longer * residual[2]
+    add_known(now.evidence, (y[0], y[1], y[2]), turn, longer * longer * variance)
+
+
+@compiled
+def _whole_turn(u: FloatArray, y: FloatArray, uncertain: Three, variance: float) -> float:
+    """Return ζ of (14a), by which the residual of (14) shows ``2 tan(θ/2)`` and not ``sin θ``.
+
+    θ is the angle between u and y (3,), as far as it is a turn: by the share of what the orientation makes
+    uncertain, (3,), in all that is.
+    """
+    off = uncertain[0] + uncertain[1] + uncertain[2]
+    lengths = norm(u) * norm(y)
+    cosine = max(dot(u, y) / lengths, LEAST_COSINE) if lengths > 0.0 else 1.0
+    return float(1.0 + off / (off + 3.0 * variance) * (2.0 / (1.0 + cosine) - 1.0))
 
 
 @compiled
@@ -239,7 +258,7 @@ def _heading_variance(joint: Joint, tuning: Tuning, dt: float) -> float:
     _, child, parent, now, _ = joint
     apart = child.P[2, 2] + parent.P[2, 2] - 2.0 * child.C[2, 2]
     square = 0.5 * (_horizontal_square(now.u) + _horizontal_square(now.u_parent))
-    return float(0.375 * apart * apart * square * max(1.0, tuning.tilt_memory_s / dt))
+    return float(SECOND_ORDER * apart * apart * square * max(1.0, tuning.tilt_memory_s / dt))
 
 
 @compiled
@@ -282,6 +301,8 @@ def joint_row(joint: Joint, is_unobserved: bool, tuning: Tuning, dt: float) -> N
         return
     variance *= inflation
     if is_unobserved:
+        tilt = 0.5 * max(child.P[0, 0] + child.P[1, 1], parent.P[0, 0] + parent.P[1, 1])
+        variance += SECOND_ORDER * tilt * tilt * dot(u, u) * max(1.0, tuning.tilt_memory_s / dt)
         _unobserved_joint_row(now, residual, variance)
         return
     variance *= _huber(off, residual, inflation * at_once, tuning.huber)

@@ -179,6 +179,7 @@ class SunSums(Record):
     along: float
     across: float
     seconds: float
+    has_shown: int  # 1: it has shown this segment's heading
 
 
 class Vibration(Record):
@@ -342,6 +343,7 @@ class SegmentWork(Record):
     information: float  # by compasses of the segment and those beyond, of its heading's error: weight, 1/rad²
     information_angle: float  # and weight times angle, 1/rad
     information_turn: float  # and weight times what corrections have just turned it by, 1/rad
+    knows: float  # of its compass: how much it counts beside the surest, 0 to 1
     unwrapped: float  # rad, of the compass, so that neighbours differ by less than half a turn
     expected: float  # rad, error of the heading less that of the parent's, by motion alone
     apart: float  # and its variance, rad²

@@ -20,7 +20,7 @@ from gateway.geometry.records import Records, array_of
 from gateway.geometry.vectors import dot, is_finite
 from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
 from gateway.reconstruction.inertial.tree.clipping import is_at_end, judge_samples
-from gateway.reconstruction.inertial.tree.compass import follow_field, share_headings
+from gateway.reconstruction.inertial.tree.compass import follow_field, share_headings, shows_world
 from gateway.reconstruction.inertial.tree.devices import device_rows, has_reported, take_reading
 from gateway.reconstruction.inertial.tree.headings import follow_sun, take_sun
 from gateway.reconstruction.inertial.tree.prediction import (
@@ -490,6 +490,7 @@ def publish_covariances(body: Body, state: State, tuning: Tuning, work: Work) ->
             for k in (s, p):
                 works[k].agreement += nis
                 works[k].agreeing += 1
+    is_world_shown = shows_world(links, segments)
     lasting = tuning.force_bias**2 / dot(body.world.gravity, body.world.gravity)
     for s in range(len(links)):
         now, segment, share = works[s], segments[s], 1.0
@@ -501,7 +502,9 @@ def publish_covariances(body: Body, state: State, tuning: Tuning, work: Work) ->
             for j in range(2):
                 published[i, j] = share * (P[i, j] + (lasting if i == j else 0.0))
             published[i, 2], published[2, i] = 0.0, 0.0
-        published[2, 2] = min(P[2, 2], of_field) if body.world.uses_field else P[2, 2]
+        published[2, 2] = P[2, 2]
+        if body.world.uses_field:
+            published[2, 2] = min(P[2, 2], of_field) if is_world_shown else of_field
         for i in range(3):
             published[i, i] += segment.gap.missed
 
