@@ -1,8 +1,10 @@
-"""``video_people``: two people in real pictures, and one across the pictures of two cameras side by side.
+"""``video_people``: two people in real pictures, one of them hidden by times, and one person across the
+pictures of two cameras side by side.
 
 The clip has one person. A second one is that person again, cut out along the limbs and pasted a metre beside
 by the affine map that moves the projected keypoints so: real pixels, in true places up to what perspective
-changes within a body. Cameras side by side are one film cut in two down the middle of the person.
+changes within a body. Hidden, parts of the second one are not pasted, while the clip is played there and
+back. Cameras side by side are one film cut in two down the middle of the person.
 """
 
 from __future__ import annotations
@@ -22,13 +24,15 @@ from benchmarks.video_scoring import LIMBS
 from devices.cameras.pictures import Picture, open_pictures
 from gateway.body.camera import Camera, project
 from gateway.body.skeleton import VideoSetUp
+from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.cameras.camera_process import CameraTask
 from gateway.cameras.filmed_people import FilmedPeople
+from gateway.cameras.live_crowd import LiveCrowd
 from gateway.cameras.rig_of_cameras import CameraRig, RigOptions
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.networks.keypoints import BLAZEPOSE, BONES
-from gateway.reconstruction.video.reconstructor import VideoReconstructor
+from gateway.reconstruction.video.reconstructor import VideoReconstructor, video_reconstructor
 from gateway.sources.heat_maps import heat_map_frame
 
 INSTANTS = 40
@@ -46,13 +50,20 @@ _ENDS = (
 )  # fmt: skip
 _LIMB_M, _TRUNK_M, _HEAD_M = 0.17, 0.26, 0.15
 """Breadths, and the radius of the head."""
+_HIDDEN = {"right half": range(30, 60), "whole": range(90, 120), "lower half": range(150, 180)}
+"""Instants in which all cameras miss so much of the one pasted in."""
+_HIDDEN_INSTANTS = 220
+_NEAR_M = 0.3
+"""Median distance of the limb joints under which a number is somebody's."""
+_HIPS = [BLAZEPOSE.index(f"{side}_hip") for side in ("left", "right")]
 _ROWS = [BLAZEPOSE.index(name) for name in LIMBS]
 
 
 def run() -> Report:
     """Raises ``GatewayError`` without weights."""
     report = Report("video_people")
-    alone = solve(look("full")).body[:INSTANTS]
+    alone_throughout = solve(look("full")).body
+    alone = alone_throughout[:INSTANTS]
     cameras = calibrated_cameras()
     with tempfile.TemporaryDirectory() as folder:
         tasks = pasted(cameras, alone, Path(folder))
@@ -64,6 +75,7 @@ def run() -> Report:
         ),
         Figure("two_people_pasted_mm", min(off[1]), "mm", "<=60", "the same of the one pasted in"),
     ]
+    report.figures += _hidden(alone_throughout)
     with tempfile.TemporaryDirectory() as folder:
         halves, tasks = _cut(cameras, Path(folder))
         pairs = tuple((n, n + 1) for n, half in enumerate(halves[:-1]) if half.name.endswith("_left"))
@@ -103,6 +115,63 @@ def _solved(video: VideoSetUp, tasks: Sequence[CameraTask], options: RigOptions)
     return found
 
 
+def _hidden(alone: FloatArray) -> list[Figure]:
+    """Return what becomes of two people's numbers, of whom one is hidden by times; alone: of the clip."""
+    there_and_back = np.arange(_HIDDEN_INSTANTS) % (2 * len(alone) - 2)
+    order = np.minimum(there_and_back, 2 * len(alone) - 2 - there_and_back)
+    cameras = [
+        fitted(each, each.width // 2, each.height // 2, SizeChange.SCALED) for each in calibrated_cameras()
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        for camera, whole in zip(cameras, calibrated_cameras(), strict=True):
+            size = camera.width, camera.height
+            clip = [np.asarray(cv2.resize(each, size), np.uint8) for each in _film(whole, len(alone))]
+            for t, f in enumerate(order):
+                part = next((part for part, instants in _HIDDEN.items() if t in instants), "")
+                _write(Path(folder) / camera.name, t, _with_another(camera, clip[f], alone[f], part))
+        tasks = [_task(camera.name, Path(folder)) for camera in cameras]
+        whose, n_numbers = _whose(cameras, tasks, np.stack([alone[order], alone[order] + ASIDE]))
+    is_shown = [not any(t in instants for instants in _HIDDEN.values()) for t in range(_HIDDEN_INSTANTS)]
+    has_number = [1 in people.values() for people, shown in zip(whose, is_shown, strict=True) if shown]
+    switches = 0
+    last: dict[int, int] = {}
+    for people in whose:
+        switches += sum(last.get(number, person) != person for number, person in people.items())
+        last |= people
+    return [
+        Figure("hidden_numbers", n_numbers, "", "<=2", "given to two people, of whom one is hidden 3 times"),
+        Figure("hidden_switches", switches, "", "<=0", "times that a number went over to the other one"),
+        Figure(
+            "hidden_followed_percent", 100.0 * float(np.mean(has_number)), "%",
+            note="of the instants in which the one pasted in is not hidden",
+        ),
+    ]  # fmt: skip
+
+
+def _whose(
+    cameras: Sequence[Camera], tasks: Sequence[CameraTask], places: FloatArray
+) -> tuple[list[dict[int, int]], int]:
+    """Return, of every instant, by number which of the people (2, F, n_keypoints, 3) m it is near, and how
+    many numbers were given."""
+    solvers: dict[int, VideoReconstructor] = {}
+    whose = []
+    with CameraRig(VideoSetUp(tuple(cameras), "full"), tasks, RigOptions(people=2)) as rig:
+        crowd = rig.people
+        assert isinstance(crowd, LiveCrowd)
+        for t, instant in enumerate(islice(rig, places.shape[1])):
+            found = {}
+            for number, messages in instant.messages.items():
+                points = solvers[number].update(heat_map_frame(t, messages)).keypoints
+                off = np.median(np.linalg.norm(places[:, t, _ROWS] - points[_ROWS], axis=2), axis=1)
+                if not instant.absent[number] and off.min() < _NEAR_M:
+                    found[number] = int(np.argmin(off))
+            whose.append(found)
+            for number, suit in instant.entered.items():
+                solvers[number] = video_reconstructor(suit)
+                crowd.solved_by(number, solvers[number])
+    return whose, len(solvers)
+
+
 def pasted(cameras: Sequence[Camera], places: FloatArray, folder: Path) -> list[CameraTask]:
     """Folders of the clip's pictures with the person (n, n_keypoints, 3) m in them twice."""
     for camera in cameras:
@@ -111,15 +180,30 @@ def pasted(cameras: Sequence[Camera], places: FloatArray, folder: Path) -> list[
     return [_task(camera.name, folder) for camera in cameras]
 
 
-def _with_another(camera: Camera, picture: Picture, points: FloatArray) -> Picture:
+def _with_another(camera: Camera, picture: Picture, points: FloatArray, hidden: str = "") -> Picture:
+    """Return a picture with the person (n_keypoints, 3) m in it once more; hidden: of ``_HIDDEN``."""
     here, there = project(camera, points), project(camera, points + ASIDE)
     affine, _ = cv2.estimateAffine2D(here.astype(np.float32), there.astype(np.float32))
     size = picture.shape[1], picture.shape[0]
     depths = (np.stack([points, points + ASIDE]).mean(axis=1) @ camera.rotation.T + camera.translation)[:, 2]
     own = _outline(camera, here, float(depths[0]), size)
     moved = cv2.warpAffine(picture, affine, size)
-    both = _laid(moved, picture, cv2.warpAffine(own, affine, size))
+    shown = _without(own, here, hidden)
+    both = _laid(moved, picture, cv2.warpAffine(shown, affine, size))
     return _laid(picture, both, own) if depths[1] > depths[0] else both
+
+
+def _without(outline: Picture, pixels: FloatArray, hidden: str) -> Picture:
+    """Return an outline without a part, told from the rest by the hips."""
+    column, row = np.clip(pixels[_HIPS].mean(axis=0), 0, outline.shape[1::-1]).astype(np.int64)
+    shown = outline.copy()
+    if hidden == "whole":
+        shown[:] = 0
+    elif hidden == "right half":
+        shown[:, column:] = 0
+    elif hidden == "lower half":
+        shown[row:] = 0
+    return shown
 
 
 def _outline(camera: Camera, pixels: FloatArray, depth: float, size: tuple[int, int]) -> Picture:

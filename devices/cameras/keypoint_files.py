@@ -29,6 +29,8 @@ _MOST_MISSING = 10
 """Times as many pictures as there are files or entries, beyond which numbers are not those of pictures."""
 _LARGEST_LIKELIHOOD = 20.0
 """Up to which scores of keypoints may be likelihoods."""
+LEAST_LARGEST = 0.25
+"""Below which all are scores of some other kind: nothing that is found would count as seen."""
 _SURE_STEPS = 10
 """Numbers from which their common step is one, and no accident of those that are left out."""
 
@@ -86,6 +88,11 @@ def _check_likelihoods(path: Path, likelihoods: NDArray[np.float64]) -> None:
             f"{path}: no keypoint has a likelihood over 0, as if none had been found: give those that were "
             "found 1 where the network gives none"
         )
+    if likelihoods.max() < LEAST_LARGEST:
+        raise FormatError(
+            f"{path}: likelihoods of keypoints of {likelihoods.max():.2g} at the most: 0 to 1 are wanted, 1 "
+            "for one that is surely seen: scale them"
+        )
 
 
 def _check_counts(path: Path, people: Sequence[NDArray[np.float64]]) -> None:
@@ -130,7 +137,9 @@ def _number(path: Path) -> int:
 def _loaded(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
         raise FormatError(
             f"{path}: cannot be read as JSON: {error}: write it again; of a folder, a picture without its "
             "file shows nobody"
@@ -140,7 +149,7 @@ def _loaded(path: Path) -> Any:
 def _people(content: Any, file: Path) -> People:
     if not isinstance(content, dict) or not isinstance(content.get("people"), list):
         raise FormatError(f"{file}: no list 'people': files of OpenPose's kind have one")
-    people = tuple(_person(each, file) for each in content["people"])
+    people = _seen(content["people"], file)
     _check_counts(file, people)
     return people
 
@@ -159,7 +168,7 @@ def _of_file(path: Path) -> tuple[int, list[People]]:
     by_picture: dict[int, list[NDArray[np.float64]]] = {}
     for entry in entries:
         shown = entry["instances"] if isinstance(entry.get("instances"), list) else [entry]
-        by_picture.setdefault(_picture_of(entry, path), []).extend(_person(each, path) for each in shown)
+        by_picture.setdefault(_picture_of(entry, path), []).extend(_seen(shown, path))
     if not by_picture:
         raise FormatError(f"{path}: an empty list")
     numbers = sorted(by_picture)
@@ -172,6 +181,11 @@ def _picture_of(entry: dict[str, Any], path: Path) -> int:
     if not numbers:
         raise FormatError(f"{path}: image_id {image_id!r} has no number: pictures are put in order by it")
     return int(numbers[-1])
+
+
+def _seen(entries: Sequence[Any], path: Path) -> People:
+    """Return all people but those of whom an empty list tells that no keypoint was found."""
+    return tuple(person for each in entries if len(person := _person(each, path)))
 
 
 def _person(entry: Any, path: Path) -> NDArray[np.float64]:

@@ -25,6 +25,8 @@ from gateway.sources.heat_maps import heat_maps_of
 FAR_APART = 0.08
 """Median distance of two rays to one keypoint from which a calibration counts as wrong, m; a right one has
 10 to 30 mm with the noise of the network."""
+_SUSPECT, _TIMES_OTHERS = 0.03, 3.0
+"""m, and times the other cameras' distance: from both on a camera is to be told of."""
 _MOST_INSTANTS = 300
 _FEWEST = 20
 """Pairs of rays."""
@@ -85,6 +87,25 @@ class Consistency:
                 f"{calibration}: camera '{wrong[0]}' does not fit the others (its rays pass theirs at "
                 f"{1e3 * self.apart[wrong[0]]:.0f} mm): was it moved, or is the file another camera's?"
             )
+
+    def doubts(self) -> list[str]:
+        """Return what may be wrong with cameras that are not refused, a sentence each."""
+        told = []
+        unused = [name for name in self.names if name not in self.apart]
+        if self.apart and unused:
+            told.append(
+                f"{', '.join(unused)}: the person is hardly seen where the other cameras have them; if they "
+                "are in these pictures, the calibration is of other cameras or for another picture size"
+            )
+        for name, far in self.apart.items():
+            others = [each for other, each in self.apart.items() if other != name]
+            if len(others) > 1 and far > max(_SUSPECT, _TIMES_OTHERS * float(np.median(others))):
+                told.append(
+                    f"the rays of {name} pass the others' at {1e3 * far:.0f} mm, theirs each other at "
+                    f"{1e3 * float(np.median(others)):.0f}: is it of another rate, out of step (--offset), "
+                    "or was it moved?"
+                )
+        return told
 
 
 def in_step(messages: Sequence[Sequence[bytes]], skipped: Sequence[int]) -> list[list[bytes]]:

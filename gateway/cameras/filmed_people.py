@@ -49,8 +49,12 @@ class FilmedPeople:
         return round(index * 1e9 / self._rate_hz)
 
     def _extend(self, number: int, instants: Sequence[Sequence[bytes]]) -> None:
-        """Add instants of somebody that end at the newest one, and before them those without the person."""
+        """Add instants of somebody that end at the newest one, and before them those without the person.
+
+        They take the place of those in which somebody who is back had not been given up.
+        """
         person = self._people.setdefault(number, [])
+        del person[self.taken - len(instants) :]
         absent = range(len(person), self.taken - len(instants))
         person += [self._nobody(index) for index in absent]
         person += [list(each) for each in instants]

@@ -24,6 +24,7 @@ from devices.link import Chunk
 from gateway.body.camera import Camera, project
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.cameras.people_matching import matched_people
+from gateway.cameras.returning_people import ReturningPeople, Somebody
 from gateway.frames import CameraHeatMaps, FloatArray, HeatMapFrame
 from gateway.reconstruction.video.crowd import VideoCrowd
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
@@ -31,9 +32,9 @@ from gateway.reconstruction.video.leading import Leading
 from gateway.reconstruction.video.networks.imported import person_of
 from gateway.reconstruction.video.networks.person_detector import Person
 from gateway.reconstruction.video.networks.weights import keypoint_set_of
-from gateway.reconstruction.video.proportions import standard_lengths
 from gateway.reconstruction.video.reconstructor import VideoReconstructor, worn_person
 from gateway.reconstruction.video.region import peaks
+from gateway.reconstruction.video.tracker import KeypointTracker
 from gateway.sources.heat_maps import Instant, Instants, KnownCameras, heat_maps_of
 
 AHEAD = 2
@@ -48,14 +49,10 @@ _LEAST_SEEN = 0.3
 likely each must be, too. One camera alone holds whoever has left to somebody else on the same rays."""
 _ABSENT = 20
 """Instants in a row in which somebody is not there, before they have left."""
-_LONGEST_AWAY_NS = 5_000_000_000
-"""Since somebody was last seen, for them to be known again."""
-_ALIKE = 0.04
-"""Median ratio, less 1, between the lengths of two bodies that may be one person's."""
-_APART = 2.0
-"""Times by which the lengths of everybody else who is away must differ more."""
-_FASTEST, _STRIDE = 3.0, 1.0
-"""m/s and m: how far somebody may be from where they were last seen."""
+_MISSED = 5
+"""The same, before they have left when somebody who has just been measured stands where they were lost."""
+_WITHIN_M = 0.3
+"""Median distance of keypoints under which somebody is led by another one's, and is not where they seem."""
 _NEAR = 0.5
 """Distance of hips, in sizes of a person, under which a camera shows somebody who is known already."""
 _NOWHERE = np.zeros((2, 3))
@@ -84,17 +81,6 @@ class _Tracked:
     """(3,) m, where the person was last there."""
     seen_ns: int = 0
     """When that was."""
-
-
-@dataclass(frozen=True)
-class _Away:
-    """Somebody who has left."""
-
-    number: int
-    person: KeypointSet
-    hips: FloatArray
-    """(3,) m, where they were last seen."""
-    seen_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +129,7 @@ class LiveCrowd:
         self._tracked: list[_Tracked] = []  # in the order of the crowd's people
         self._receivers: dict[str, HeatMapReceiver] = {}
         self._instants = Instants(len(video.cameras))
-        self._away: list[_Away] = []
+        self._away = ReturningPeople()
         self._tracked_ever = 0
         self.counts = CrowdCounts()
 
@@ -200,8 +186,9 @@ class LiveCrowd:
         masked = self._crowd.masked([self._frame_of(each, instant) for each in self._tracked])
         self._crowd.follow(masked)
         messages = {}
-        for each, points, frame in zip(self._tracked, expected, masked, strict=True):
-            self._note(each, points, frame)
+        for index, (each, points, frame) in enumerate(zip(self._tracked, expected, masked, strict=True)):
+            others = [other for k, other in enumerate(expected) if k != index and other is not None]
+            self._note(each, points, others, frame)
             encoded = self._encoded(frame, instant)
             if each.number is None:
                 each.seen.append(encoded)
@@ -210,6 +197,9 @@ class LiveCrowd:
         absent = {each.number: each.absent for each in self._tracked if each.number is not None}
         left = self._parted()
         entered = self._entered()
+        for back in entered:  # some had not been given up before
+            messages.pop(back, None)
+            absent.pop(back, None)
         self._admit(instant)
         return CrowdInstant(
             {number: worn_person(person, self._video) for number, (person, _) in entered.items()},
@@ -217,13 +207,15 @@ class LiveCrowd:
             messages, absent, left, self._orders(instant.sequence),
         )  # fmt: skip
 
-    def _note(self, each: _Tracked, points: FloatArray | None, frame: HeatMapFrame) -> None:
-        """Keep whether somebody is where their keypoints are expected, (n_keypoints, 3) m."""
+    def _note(
+        self, each: _Tracked, points: FloatArray | None, others: Sequence[FloatArray], frame: HeatMapFrame
+    ) -> None:
+        """Keep whether somebody is where their keypoints are expected, (n_keypoints, 3) m as the others'."""
         is_there = points is not None and self._is_there(points, frame)
         each.instants += 1
         each.there += is_there
         each.absent = 0 if is_there else each.absent + 1
-        if is_there and points is not None:
+        if is_there and points is not None and not any(_are_one(points, other) for other in others):
             each.hips, each.seen_ns = self._hips(points), frame.time_ns
 
     def _is_there(self, points: FloatArray, frame: HeatMapFrame) -> bool:
@@ -262,10 +254,12 @@ class LiveCrowd:
     def _parted(self) -> list[int]:
         """Forget whoever is gone, is somebody else, or was nobody; return the numbers of those who had
         entered."""
+        entering = list(filter(None, map(self._measured, self._tracked, self._crowd.trackers)))
         gone = [
             index
             for index, (each, tracker) in enumerate(zip(self._tracked, self._crowd.trackers, strict=True))
             if index in self._crowd.same_as
+            or (each.absent >= _MISSED and _is_replaced(each, entering))
             or (each.number is not None and each.absent >= _ABSENT)
             or (each.number is not None and tracker.pose is None)
             or (each.number is None and each.instants - each.there > (1.0 - _LEAST_TRIAL) * _TRIAL)
@@ -279,52 +273,34 @@ class LiveCrowd:
             else:
                 self.counts.left += 1
                 left.append(each.number)
-                self._remember(each)
+                if somebody := _last_seen(each):
+                    self._away.add(each.number, somebody)
         return left
 
-    def _remember(self, each: _Tracked) -> None:
-        """Keep somebody who leaves, so that they are known when they come back."""
-        if each.number is not None and each.person is not None and each.hips is not None:
-            self._away.append(_Away(each.number, each.person, each.hips, each.seen_ns))
+    def _measured(self, each: _Tracked, tracker: KeypointTracker) -> Somebody | None:
+        """Return somebody whose trial has ended well; None: somebody else."""
+        is_person = each.there >= _LEAST_TRIAL * each.instants
+        if each.number is not None or each.hips is None or not (tracker.is_settled and is_person):
+            return None
+        return Somebody(tracker.person, each.hips, each.seen_ns)
 
     def _entered(self) -> dict[int, tuple[KeypointSet, list[list[bytes]]]]:
         """Number those whose trial has ended well; return each as measured, and what was seen on trial."""
         entered = {}
         for each, tracker in zip(self._tracked, self._crowd.trackers, strict=True):
-            is_person = each.there >= _LEAST_TRIAL * each.instants
-            if each.number is None and tracker.is_settled and is_person:
-                each.number, each.person = self._numbered(each, tracker.person)
+            if somebody := self._measured(each, tracker):
+                each.number, each.person = self._numbered(somebody)
                 entered[each.number] = each.person, each.seen
                 each.seen = []
         return entered
 
-    def _numbered(self, each: _Tracked, person: KeypointSet) -> tuple[int, KeypointSet]:
+    def _numbered(self, somebody: Somebody) -> tuple[int, KeypointSet]:
         """Return the number and the lengths of somebody new, or who is back."""
-        back = self._known_again(each, person)
-        if back is None:
-            self.counts.entered += 1
-            return self.counts.entered, person
-        self.counts.returned += 1
-        self._away.remove(back)
-        return back.number, back.person
-
-    def _known_again(self, each: _Tracked, person: KeypointSet) -> _Away | None:
-        """Return who of those who are away somebody on trial is; None: nobody, or it may be either of two."""
-        if each.hips is None:
-            return None
-        self._away = [away for away in self._away if each.seen_ns - away.seen_ns <= _LONGEST_AWAY_NS]
-        near = [
-            away
-            for away in self._away
-            if np.linalg.norm(each.hips - away.hips)
-            <= _STRIDE + 1e-9 * _FASTEST * (each.seen_ns - away.seen_ns)
-        ]
-        unlike = [_unlike(person, away.person) for away in near]
-        if not near or min(unlike) > _ALIKE:
-            return None
-        first, *others = sorted(unlike)
-        is_sure = not others or others[0] > _APART * first
-        return near[unlike.index(first)] if is_sure else None
+        if back := self._away.known_again(somebody):
+            self.counts.returned += 1
+            return back
+        self.counts.entered += 1
+        return self.counts.entered, somebody.person
 
     def _admit(self, instant: Instant) -> None:
         """Begin to track those whom several cameras have found, and nobody is known to be."""
@@ -382,10 +358,22 @@ class LiveCrowd:
         return self._leading.orders(sequence + AHEAD, people)
 
 
-def _unlike(person: KeypointSet, other: KeypointSet) -> float:
-    """Return the median ratio, less 1, between the lengths of the parts of two bodies."""
-    ratios = standard_lengths(person) / standard_lengths(other)
-    return float(np.nanmedian(np.abs(np.log(ratios))))
+def _last_seen(each: _Tracked) -> Somebody | None:
+    """Return somebody with a number where they were last there."""
+    if each.person is None or each.hips is None:
+        return None
+    return Somebody(each.person, each.hips, each.seen_ns)
+
+
+def _is_replaced(each: _Tracked, entering: Sequence[Somebody]) -> bool:
+    """Return whether one of those who have just been measured stands where somebody was lost."""
+    lost = _last_seen(each)
+    return lost is not None and any(newcomer.is_where_lost(lost) for newcomer in entering)
+
+
+def _are_one(points: FloatArray, other: FloatArray) -> bool:
+    """Return whether keypoints (n_keypoints, 3) m are within another one's body."""
+    return float(np.median(np.linalg.norm(points - other, axis=1))) < _WITHIN_M
 
 
 def _likelihood_at(maps: CameraHeatMaps, pixels: FloatArray) -> FloatArray:

@@ -113,6 +113,8 @@ def named(places: Sequence[str], known: list[str], calibration: Path) -> dict[st
     path_of: dict[str, str] = {}
     for place in places:
         name, separator, rest = place.partition("=")
+        if separator and name not in known and not Path(place).exists() and Path(rest).exists():
+            raise GatewayError(f"{place}: {calibration} has no camera '{name}' (cameras: {', '.join(known)})")
         if separator and name in known:
             found, path = [name], rest
         else:
@@ -134,7 +136,9 @@ def _in_order(places: Sequence[str], known: list[str], calibration: Path) -> dic
 
 
 def _names_camera(path: Path, name: str) -> bool:
-    """Return whether the camera's name stands in the file's as a word of its own."""
+    """Return whether the camera's name stands in the file's as a word of its own; as Pose2Sim's calibration
+    has it, without what stands about it there."""
+    name = re.sub(r"^int_(.+)_img$", r"\1", name)
     return re.search(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])", path.stem) is not None
 
 

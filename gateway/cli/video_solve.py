@@ -59,6 +59,10 @@ class Capture(NamedTuple):
     rate_hz: float
 
 
+_ENDS_DIFFER = 2
+"""Pictures by which cameras may end earlier than others without a word."""
+
+
 @dataclass(frozen=True)
 class Choice:
     """The options that say who and what of the pictures is taken."""
@@ -191,6 +195,8 @@ def _sorted_out(
         people = _in_step(cameras, people, clearest)
     checks = [consistency_of(cameras, messages) for messages in people]
     checks[clearest].refuse_wrong(calibration)
+    for doubt in checks[clearest].doubts():
+        typer.echo(f"note: {doubt}", err=True)
     return people, checks
 
 
@@ -245,9 +251,21 @@ def _imported(
     places = named(files, list(known), calibration)
     cameras = tuple(known[name] for name in places)
     read = [read_keypoints(Path(place)) for place in places.values()]
+    _report_ends({name: each.first + len(each.people) for name, each in zip(places, read, strict=True)})
     skipped = offsets_of(pictures.offset or [], list(known))
     network, captured = keypoint_messages(cameras, read, skipped, pictures.rate, wanted or MOST_PEOPLE)
     return Capture(VideoSetUp(cameras, network), [each[:frames] for each in captured], pictures.rate)
+
+
+def _report_ends(ends: dict[str, int]) -> None:
+    """Say which cameras' last pictures are missing; ends: by camera the number after the last one's."""
+    early = [f"{name} at {end}" for name, end in ends.items() if end < max(ends.values()) - _ENDS_DIFFER]
+    if early:
+        typer.echo(
+            f"note: pictures end earlier than the others' at {max(ends.values())}: {', '.join(early)}; from "
+            "there on nobody is taken to be in them",
+            err=True,
+        )
 
 
 def _report_how_many(found: int, wanted: int | None) -> None:

@@ -54,12 +54,12 @@ class PeopleBeforeCameras:
     def take(self, chunk: Chunk) -> None:
         """Take heat maps of any camera."""
         for instant in self.crowd.receive(chunk):
-            for number, suit in instant.entered.items():
-                self._begin(number, suit)
             for number, messages in instant.messages.items():
                 self._present[number][0].hand(Chunk(b"".join(messages), chunk.arrived_ns, LINK))
-            for number in instant.left:
+            for number in instant.left:  # some are back at once
                 self._end(number)
+            for number, suit in instant.entered.items():
+                self._begin(number, suit)
             self._send(instant.orders)
 
     async def close(self) -> None:

@@ -9,7 +9,7 @@ import pytest
 from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver, encode_heat_maps, quantised
 from gateway.body.camera import project
 from gateway.body.skeleton import VideoSetUp
-from gateway.cameras.consistency import consistency_of, in_step
+from gateway.cameras.consistency import Consistency, consistency_of, in_step
 from gateway.cameras.synchronisation import synchronisation_of
 from gateway.cli.video_solve import Capture, Choice, _sorted_out
 from gateway.errors import GatewayError
@@ -52,6 +52,25 @@ def messages(cameras, late=None):
 NOBODY = [
     [encode_heat_maps(HeatMapMessage(c.name, "full", t, t, None, AFFINE)) for c in CAMERAS] for t in range(N)
 ]
+
+
+@pytest.mark.parametrize(
+    ("apart", "told"),
+    [
+        ({"a": 0.02, "b": 0.021, "c": 0.037}, []),
+        (
+            {"a": 0.006, "b": 0.005, "c": 0.044},
+            ["rays of c pass the others' at 44 mm, theirs each other at 6"],
+        ),
+        ({"a": 0.06, "b": 0.06}, ["c: the person is hardly seen"]),
+        ({}, []),
+    ],
+)
+def test_what_is_odd_of_cameras_but_not_refused_is_told(apart, told):
+    found = Consistency(("a", "b", "c"), apart, {}, 0.0, 0.0)
+    found.refuse_wrong(Path("cameras.yaml"))
+    assert len(found.doubts()) == len(told)
+    assert all(part in doubt for part, doubt in zip(told, found.doubts(), strict=True))
 
 
 def test_cameras_in_step_agree():

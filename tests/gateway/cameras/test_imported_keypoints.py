@@ -19,6 +19,7 @@ from gateway.calibration.cameras_file import cameras_text
 from gateway.cameras.film import drawn_instants
 from gateway.cameras.imported_keypoints import keypoint_messages
 from gateway.cli.main import app
+from gateway.cli.video import named
 from gateway.emulation.video_truth import KnownPerson, ring_of_cameras, walking
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
@@ -162,6 +163,7 @@ def test_a_camera_whose_first_pictures_show_nobody_stays_in_step(tmp_path: Path)
             '{"people": [{"pose_keypoints_2d": [1,2,3]}, {"pose_keypoints_2d": [1,2,3,4,5,6]}]}',
             "1 with 1 and 1 with 2 keypoints",
         ),
+        ('{"people": [{"pose_keypoints_2d": [1, 2, 0.12]}]}', "of 0.12 at the most: 0 to 1 are wanted"),
     ],
 )
 def test_what_is_no_such_file_is_refused(tmp_path: Path, content: str, said: str) -> None:
@@ -169,6 +171,21 @@ def test_what_is_no_such_file_is_refused(tmp_path: Path, content: str, said: str
     file.write_text(content)
     with pytest.raises(FormatError, match=said):
         read_keypoints(file)
+
+
+def test_a_person_with_an_empty_list_is_nobody(tmp_path: Path) -> None:
+    file = tmp_path / "a.json"
+    file.write_text('{"people": [{"pose_keypoints_2d": []}, {"pose_keypoints_2d": [1, 2, 0.9]}]}')
+    ((person,),) = read_keypoints(file).people
+    np.testing.assert_array_equal(person, [[1, 2, 0.9]])
+
+
+def test_files_are_matched_to_the_names_of_pose2sim_and_unknown_names_are_told(tmp_path: Path) -> None:
+    known = ["int_cam01_img", "int_cam02_img", "int_cam03_img"]
+    places = ["a/cam03_json", "a/cam01_json"]
+    assert named(places, known, tmp_path) == {known[0]: places[1], known[2]: places[0]}
+    with pytest.raises(GatewayError, match="has no camera 'cam9' \\(cameras: int_cam01_img"):
+        named([f"cam9={tmp_path}"], known, tmp_path)
 
 
 @pytest.mark.parametrize("unknown", ["NaN", "null"])

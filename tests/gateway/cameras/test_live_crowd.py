@@ -156,6 +156,32 @@ def test_who_comes_back_soon_is_known_again_and_a_stranger_is_not(people):
     assert played.crowd.statistics()["returned"] == 0
 
 
+def test_who_stands_where_somebody_is_missed_takes_their_number_before_they_are_given_up(people):
+    """A camera's picture may be wrong for a moment: the person seems to be elsewhere, and is found anew."""
+    a, b, _ = people
+    video = VideoSetUp(tuple(CAMERAS), "full")
+    crowd, cameras, filmed = (
+        LiveCrowd(video, 4),
+        ServedCameras(CAMERAS, KEYPOINTS, 4),
+        FilmedPeople(video, RATE_HZ),
+    )
+    left, entered = [], []
+    for f in range(120):
+        shown = [a[f], b[f]] if not 50 <= f < 58 else [b[f]]
+        instant = crowd.take(cameras.messages(np.array(shown), f))
+        filmed.add(instant)
+        left += instant.left
+        entered += instant.entered
+        if f == 57:  # it is led astray
+            tracker = crowd._crowd.trackers[0]
+            tracker.pose = tracker.pose._replace(root=tracker.pose.root + np.array([0.0, 0.0, 1.5]))
+            tracker._places = []
+        cameras.take(instant.orders)
+    assert sorted(entered) in ([1, 2], [1, 1, 2])
+    assert sorted(crowd.present) == [1, 2]
+    assert [len(person) for person in filmed.people] == [120, 120]
+
+
 def test_whoever_comes_into_a_film_later_is_recorded_from_where_they_were_found(people):
     """Two people, of whom the second comes later and the first leaves: as `video solve --people 2`."""
     a, b, _ = people
