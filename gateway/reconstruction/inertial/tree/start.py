@@ -41,6 +41,9 @@ FORCE, NOTHING = Validity.FORCE.value, Validity.NOTHING.value
 
 # Start
 
+ALONE = 0.9
+"""Share of a turn from which a side has turned alone: how the others head is not found anew."""
+
 
 @compiled
 def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None:
@@ -352,7 +355,6 @@ def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, an
     root, first = s, links[s].parent
     while links[root].parent >= 0:
         root = links[root].parent
-    segments[root].compass.settled_s = 0.0
     _mark_sides(body, state, tuning, work, s, root)
     gives, above_gives = np.inf, np.inf
     for c in range(root, len(links)):
@@ -360,6 +362,8 @@ def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, an
         gives = min(gives, give) if works[c].is_beyond else gives
         above_gives = min(above_gives, give) if works[c].is_before else above_gives
     beyond = 1.0 if first < 0 else gives / (gives + above_gives)
+    if first < 0 or beyond < ALONE:
+        segments[root].compass.settled_s = 0.0
     for c in range(root, len(links)):
         now = works[c]
         if now.is_beyond:
