@@ -78,6 +78,21 @@ def test_a_segment_that_came_back_amid_a_body_does_not_turn_the_body():
     assert abs(turns[0]) < 0.01
 
 
+@pytest.mark.parametrize(("variance", "is_anew"), [(None, False), (1e-3, True)], ids=["lost", "known"])
+def test_a_body_is_to_turn_to_its_compasses_only_where_its_own_heading_was_found_anew(variance, is_anew):
+    """A module that came back turned whole bodies after compasses that were wrong."""
+    numbers, n = tuning(), len(SUIT.skeleton.parents)
+    body, state, work = chain_body(SUIT, uses_field=True), initial_state(n, 0), work_space(n)
+    segments = state.segments
+    for s in range(n):
+        segments[s].P[2, 2], segments[s].started = 1e-3, 1
+        segments[s].heading = Heading.OBSERVED.value
+    segments[n - 1].P[2, 2] = numbers.unknown_heading**2 if variance is None else variance
+    segments[0].compass.settled_s = 100.0
+    turn_beyond(body, state, numbers, work, n - 1, 1.0)
+    assert (segments[0].compass.settled_s == 0.0) == is_anew
+
+
 def silent(frames: list[ImuFrame], segment: int, first: int, n_frames: int) -> list[ImuFrame]:
     """Return them without the samples of one module in ``n_frames`` from ``first`` on."""
     held = list(frames)
