@@ -90,22 +90,22 @@ class Consistency:
 
     def doubts(self) -> list[str]:
         """Return what may be wrong with cameras that are not refused, a sentence each."""
-        told = []
+        found = []
         unused = [name for name in self.names if name not in self.apart]
         if self.apart and unused:
-            told.append(
+            found.append(
                 f"{', '.join(unused)}: the person is hardly seen where the other cameras have them; if they "
                 "are in these pictures, the calibration is of other cameras or for another picture size"
             )
         for name, far in self.apart.items():
             others = [each for other, each in self.apart.items() if other != name]
             if len(others) > 1 and far > max(_SUSPECT, _TIMES_OTHERS * float(np.median(others))):
-                told.append(
+                found.append(
                     f"the rays of {name} pass the others' at {1e3 * far:.0f} mm, theirs each other at "
                     f"{1e3 * float(np.median(others)):.0f}: is it of another rate, out of step (--offset), "
                     "or was it moved?"
                 )
-        return told
+        return found
 
 
 def in_step(messages: Sequence[Sequence[bytes]], skipped: Sequence[int]) -> list[list[bytes]]:
