@@ -83,7 +83,9 @@ class Rule(NamedTuple):
 
 def _without_second_order() -> None:
     @compiled
-    def second_order_variance(segment: Segment, u: object, tuning: Tuning, interval_s: float) -> float:
+    def second_order_variance(
+        child: Segment, parent: Segment, u: object, tuning: Tuning, interval_s: float
+    ) -> float:
         return 0.0
 
     rows.second_order_variance = second_order_variance  # type: ignore[attr-defined, assignment]
