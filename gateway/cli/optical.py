@@ -221,10 +221,7 @@ def _angle(text: str) -> tuple[str, float]:
 
 def _fit_outcome(found: Fit, files: list[Path], target: Path) -> dict[str, object]:
     names = found.skeleton.segment_names
-    lengths_mm = {
-        name: round(1e3 * float(np.linalg.norm(tip)), 1)
-        for name, tip in zip(names, found.skeleton.tips, strict=True)
-    }
+    lengths_mm = lengths_of(found)
     return {
         "file": str(target),
         "marker_set": found.marker_set,
@@ -250,6 +247,14 @@ def _fit_outcome(found: Fit, files: list[Path], target: Path) -> dict[str, objec
             label: round(1e3 * float(s), 1)
             for label, s in zip(found.markers.labels, found.markers.sigmas, strict=True)
         },
+    }
+
+
+def lengths_of(found: Fit) -> dict[str, float]:
+    """Return the length of each segment, mm, by its name."""
+    return {
+        name: round(1e3 * float(np.linalg.norm(tip)), 1)
+        for name, tip in zip(found.skeleton.segment_names, found.skeleton.tips, strict=True)
     }
 
 

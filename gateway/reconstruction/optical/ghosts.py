@@ -1,6 +1,7 @@
 """What distances between markers tell: points that are not what they are called, trials of two people.
 
-Before there is a body that could: the solver questions names by that."""
+This is asked before there is a body. The solver has one, and questions names by where the body is.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +24,6 @@ _TIMES = 2.5
 _MORE_M = 0.05
 """Farther apart than so many times as usual and so much more: no joint bends two markers of neighbouring
 segments so far apart."""
-
-
 _LONGEST_GAP_S = 0.1
 """Over which a pair's last places tell which is which."""
 _LEAP_M, _NEARER = 0.1, 0.5
