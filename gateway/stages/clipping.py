@@ -179,6 +179,7 @@ def _at_end(axes: Any, values: FloatArray, smallest: float, is_next: bool) -> bo
         _forget(axes)
     is_clipped = False
     steps = np.abs(values - np.array((axes[0].last, axes[1].last, axes[2].last)))  # NaN: not known
+    elsewhere = _largest_found(axes)
     for i in range(3):
         axis, value = axes[i], values[i]
         side, magnitude = int(value < 0.0), abs(value)
@@ -191,9 +192,26 @@ def _at_end(axes: Any, values: FloatArray, smallest: float, is_next: bool) -> bo
         is_flat = axis.flat >= FLAT_STEPS and magnitude >= max(smallest, SKEWED_END * axis.largest[side])
         if is_flat and axis.entry > max(ENTRY_STEPS * axis.widest, ENTRY_QUANTA * quantum):
             axis.limit[side] = min(axis.limit[side], END * magnitude)
-        is_clipped |= magnitude >= axis.limit[side]
+        is_same = axis.limit[side] == np.inf and axis.largest[side] <= BEYOND * elsewhere
+        is_clipped |= magnitude >= (elsewhere if is_same else axis.limit[side])
         axis.last = value
     return is_clipped
+
+
+@compiled
+def _largest_found(axes: Any) -> float:
+    """Return the largest end that was found of any axis (3,), either way; infinite: none.
+
+    The axes of a sensor have one range, so it holds for those whose own has not been found, as long as they
+    do not go beyond it.
+    """
+    largest = 0.0
+    for i in range(3):
+        for side in range(2):
+            limit = axes[i].limit[side]
+            if math.isfinite(limit):
+                largest = max(largest, limit)
+    return largest if largest > 0.0 else np.inf
 
 
 @compiled

@@ -133,6 +133,16 @@ def test_an_end_that_larger_values_pass_was_none():
     assert not found[beyond[-5:]].any()
 
 
+def test_an_end_of_one_axis_holds_for_all_either_way():
+    rate = swing(30.0, peak=14.0)
+    rate[1500:] = -rate[1500:, [1, 2, 0]] * (LIMIT + 3.0) / np.abs(rate[1500:, 0]).max()
+    flat = np.clip(rate, -LIMIT, LIMIT)
+    found, is_high = marked(samples(flat)), (np.abs(rate) >= LIMIT).any(axis=1)
+    assert found[:1500].any()
+    assert is_high[1500:].sum() > 20
+    assert found[1500:][is_high[1500:]].all()
+
+
 def test_one_wild_value_does_not_hide_the_end():
     rate = np.clip(swing(40.0), -LIMIT, LIMIT)
     rate[100, 0] = 30.0
