@@ -20,7 +20,7 @@ from gateway.frames import FloatArray, IntArray
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, is_finite, norm, vector
-from gateway.reconstruction.inertial.tree.clipping import is_at_end, missed_along
+from gateway.reconstruction.inertial.tree.clipping import is_at_end, missed_angle
 
 LONGEST_BRIDGE_S = 0.1
 """As long as the assembler bridges by default. What the module did is known then; nothing has to settle."""
@@ -40,8 +40,7 @@ _AVERAGES = (
 )
 
 
-_NONE, NO_BIAS = np.full(3, np.nan), np.zeros(3)
-"""A turn beyond what was shown needs no bias: both have it."""
+_NONE = np.full(3, np.nan)
 
 
 class Sample(NamedTuple):
@@ -66,7 +65,7 @@ class Clip:
     def __init__(self, rate: FloatArray, slope: FloatArray) -> None:
         """Begin with the rate (3,), rad/s, of the last sample within the range, and its slope, rad/s²."""
         self._rate, self._slope, self._last = rate, slope, rate
-        self._shown, self._axes, self._lasted_s = np.zeros(3), np.zeros((3, 3)), 0.0
+        self._shown, self._ends, self._lasted_s = np.zeros(3), np.zeros(3), 0.0
 
     def add(self, rate: FloatArray, dt: float, *, is_clipped: bool = False) -> None:
         """Add a rate (3,) at the end of the range, or the first one after it; dt: s."""
@@ -74,12 +73,13 @@ class Clip:
         self._last = rate
         self._lasted_s += dt
         if is_clipped:
-            np.fill_diagonal(self._axes, np.maximum(self._axes.diagonal(), is_at_end(rate)))
+            self._ends = np.maximum(self._ends, is_at_end(rate))
 
     def missed(self, slope: FloatArray) -> FloatArray:
         """Return what the gyroscope has missed, (3,) rad; slope: (3,) after the first rate, rad/s²."""
-        known = self._rate, self._slope, self._last, slope, NO_BIAS, self._shown, self._lasted_s
-        return np.array([missed_along(axis, *known) for axis in self._axes])
+        known = zip(self._rate, self._slope, self._last, slope, self._shown, strict=True)
+        missed: FloatArray = self._ends * [missed_angle(*axis, self._lasted_s) for axis in known]
+        return missed
 
 
 class ModuleFilter:

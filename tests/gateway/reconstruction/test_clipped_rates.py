@@ -1,5 +1,6 @@
 """What a gyroscope misses at the end of its range is made up for, and claimed while it is not."""
 
+import itertools
 from dataclasses import replace
 from functools import partial
 
@@ -73,6 +74,40 @@ def test_a_module_for_itself_makes_up_for_as_much(cut):
     without = solved(bare, IndependentReconstructor)[0][-1]
     assert headings[1] - without > 0.1
     assert headings[0] - without == pytest.approx(headings[1] - without, rel=0.1)
+
+
+def test_axes_come_to_their_ends_and_back_one_by_one():
+    """A turn about one axis is cut until another about the next one is, and no instant between is whole."""
+    times = np.arange(0, 2 * RATE_HZ) / RATE_HZ
+    rate = np.stack(
+        [PEAK * np.exp(-(((times - middle) / 0.25) ** 2)) for middle in (0.8, 1.05)] + [0.0 * times], axis=1
+    )
+    q, truth = Rotation.identity(), []
+    for before, after in itertools.pairwise(rate):
+        truth.append(q)
+        q = q * Rotation.from_rotvec(0.5 * (before + after) / RATE_HZ + np.cross(before, after) / 12e4)
+    shown = np.minimum(rate, 0.7 * PEAK)
+    ends = (shown < rate).any(axis=1)
+    assert np.count_nonzero(np.diff(ends.astype(int))) == 2
+    errors = []
+    for given in (rate, shown):
+        suit = load_rig("single_placed")
+        suit = replace(suit, local_devices=(), sensor_to_segment=np.array([[1.0, 0.0, 0.0, 0.0]]))
+        reconstructor = WITHOUT_FIELD(suit, 1.0 / RATE_HZ)
+        for k, turned in enumerate(truth):
+            pose = reconstructor.update(
+                ImuFrame(
+                    sequence=k, time_ns=10**10 + 10**7 * k, angular_rate=given[[k]],
+                    specific_force=turned.inv().apply([[0.0, 0.0, 9.81]]),
+                    magnetic_field=np.full((1, 3), np.nan), status=np.zeros(1, np.uint8),
+                    gap_ns=np.zeros(1, np.int64),
+                    clipped=np.array([Clipped.ANGULAR_RATE if given is shown and ends[k] else 0], np.uint8),
+                )
+            )  # fmt: skip
+        errors.append(Rotation.from_quat(pose.q_wb[0], scalar_first=True))
+    missed = np.trapezoid(np.linalg.norm(rate - shown, axis=1), dx=1.0 / RATE_HZ)
+    assert missed > 0.8
+    assert (errors[0].inv() * errors[1]).magnitude() < 0.15 * missed
 
 
 def test_what_is_missed_is_claimed_at_once_and_given_back_when_it_is_made_up_for():

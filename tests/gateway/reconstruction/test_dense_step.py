@@ -130,7 +130,7 @@ class Checked:
         F, Q = np.eye(len(dense)), np.zeros(len(dense))
         for s in started:
             F[6 * s : 6 * s + 3, 6 * s + 3 : 6 * s + 6] = -before["R"][s] * dt
-            turn, density = self.turned(before[s], work.segments[s], tuning, dt)
+            turn, density = self.turned(before[s], work.segments[s], segments[s].gap, tuning, dt)
             R = before["R"][s] @ Rotation.from_rotvec(turn * dt).as_matrix()
             np.testing.assert_allclose(segments[s].R, R, atol=1e-13)
             is_lost = np.diag(F @ dense @ F.T)[6 * s : 6 * s + 3] >= tuning.unknown_heading**2
@@ -142,7 +142,7 @@ class Checked:
             if body.world.is_tree and parents[s] >= 0 and parents[s] in started:
                 assert_close(segments[s].C, blocks(after, s, parents[s]))
 
-    def turned(self, before, now, tuning, dt):
+    def turned(self, before, now, gap_after, tuning, dt):
         """Mean rate over the step, rad/s, and the density of its noise, (rad/s)²/Hz."""
         gap, memory_s = before.gap.seconds, tuning.longest_coast_s
         last = before.gap.rate if gap > 0.0 else before.rate
@@ -155,6 +155,7 @@ class Checked:
         if now.validity == Validity.NOTHING:
             self.compared["coast"] += 1
             w = (before.rate - before.bias) * np.exp(-dt / memory_s)
+            self.hold_axes(before.gap, gap_after, w, dt)
             return w, (coasted(gap + dt) - coasted(gap)) / dt
         is_made_up = before.gap.cause == Clip.LEFT
         is_bridged = gap > 0.0 and now.validity >= Validity.RATE and not is_made_up
@@ -167,14 +168,19 @@ class Checked:
         density = tuning.gyroscope**2 + (tuning.gyroscope_scale**2 * (w @ w)) * tuning.scale_memory_s
         if now.validity == Validity.SATURATED_RATE:
             self.compared["clipped"] += 1
-            if gap + dt > tuning.longest_clip_s:  # (69)
+            self.hold_axes(before.gap, gap_after, w, dt)
+            w, _, _, lasted_s = self.made_up(before, now, w, tuning, dt)
+            if lasted_s > tuning.longest_clip_s or lasted_s == 0.0:  # (69)
                 start = before.gap.slope if gap > 0.0 else before.rate_slope
                 grown = missed(start, gap + dt, tuning) - missed(start, gap, tuning)
                 density += (grown + (before.gap.missed if gap > 0.0 else 0.0)) / dt
             return w, density
         if is_made_up:
             density += before.corrections.gyroscope * (change @ change) * lasted
-            return self.made_up(before, now, w, density, tuning, dt)
+            w, square, is_lost, _ = self.made_up(before, now, w, tuning, dt)
+            np.testing.assert_allclose(now.bridge, before.gap.turn + w * dt, atol=1e-13)
+            off = before.gap.missed if is_lost or square == 0.0 else 0.0
+            return w, density + (tuning.missed_share**2 * square + off) / dt
         self.compared["bridge" if is_bridged else "predict"] += 1
         density += before.corrections.gyroscope * (change @ change) * lasted
         if not is_bridged:
@@ -186,21 +192,44 @@ class Checked:
         variance = density * lasted + max(off - coasted(gap), 0.0)
         return (whole - before.gap.turn) / dt, variance / dt
 
-    def made_up(self, before, now, w, density, tuning, dt):
-        """(70): the cubic's turn, less what was turned by, along axes that were clipped, and outward."""
-        gap, lasted_s = before.gap, before.gap.seconds
-        if lasted_s > tuning.longest_clip_s or not np.isfinite(gap.slope).all():
-            return w, density + gap.missed / dt
-        self.compared["made_up"] += 1
-        slope = (now.angular_rate - before.rate) / dt
-        whole = lasted_s / 2.0 * (gap.rate + before.rate) - before.bias * lasted_s
-        whole = whole + lasted_s**2 / 12.0 * (gap.slope - slope)
-        along = gap.clipped_axes @ (whole - gap.turn)
-        along = np.where(along * (gap.clipped_axes @ gap.turn) > 0.0, along, 0.0)
-        added = gap.clipped_axes.T @ along
-        np.testing.assert_allclose(now.bridge, gap.turn + w * dt + added, atol=1e-13)
-        square = along @ along
-        return w + added / dt, density + (tuning.missed_share**2 * square if square > 0 else gap.missed) / dt
+    def hold_axes(self, before, after, w, dt):
+        """(70): what axes at their ends have turned by, and the sums of where they were, as seen from now."""
+        for k in np.flatnonzero(after.clip_left < 2.0):
+            is_new = before.seconds == 0.0 or before.clip_left[k] > 1.0
+            axis, turned, total = after.clipped_axes[k], before.clip_turn[k], before.clip_mean[k]
+            turned, total = (0.0, np.zeros(3)) if is_new else (turned, total)
+            step, half = Rotation.from_rotvec(-w * dt), Rotation.from_rotvec(-0.5 * w * dt)
+            np.testing.assert_allclose(after.clip_turn[k], turned + axis @ w * dt, atol=1e-13)
+            np.testing.assert_allclose(
+                after.clip_mean[k], step.apply(total) + half.apply(axis) * dt, atol=1e-13
+            )
+
+    def made_up(self, before, now, w, tuning, dt):
+        """(70): an axis that is back for its second sample gives the cubic's turn, less its own, outward.
+
+        The mean rate with it, the sum of squares so far, whether an axis is lost, and the longest of those
+        that stay at the end.
+        """
+        gap, is_fresh = before.gap, before.gap.seconds == 0.0
+        square, is_lost = (0.0, False) if is_fresh else (gap.made_up, bool(gap.is_lost))
+        since = np.zeros(3) if is_fresh else gap.clip_s
+        since = np.where(now.clipped_axes.any(axis=1) | (since > 0.0), since + dt, 0.0)
+        added, half = np.zeros(3), Rotation.from_rotvec(-0.5 * w * dt)
+        for k in range(3):
+            if is_fresh or gap.clip_left[k] != 1.0 or now.clipped_axes[k].any():
+                continue
+            axis, lasted_s, since[k] = gap.clipped_axes[k], gap.clip_s[k], 0.0
+            if lasted_s > tuning.longest_clip_s or not np.isfinite(gap.clip_slope[k]):
+                is_lost = True
+                continue
+            self.compared["made_up"] += 1
+            last, slope = axis @ before.rate, axis @ (now.angular_rate - before.rate) / dt
+            whole = lasted_s / 2.0 * (gap.clip_rate[k] + last) - axis @ before.bias * lasted_s
+            whole += lasted_s**2 / 12.0 * (gap.clip_slope[k] - slope)
+            along = whole - gap.clip_turn[k]
+            along = along if along * gap.clip_turn[k] > 0.0 else 0.0
+            added, square = added + half.apply(gap.clip_mean[k]) / lasted_s * along, square + along**2
+        return w + added / dt, square, is_lost, since.max()
 
     def average(self, state, tuning, work, dt):
         before = state.segments.copy()

@@ -16,7 +16,7 @@ import numpy as np
 from gateway.frames import FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.inertial.tree.clipping import make_up_clip, turn_as_clipped
+from gateway.reconstruction.inertial.tree.clipping import hold_axes, make_up_clip, turn_as_clipped
 from gateway.reconstruction.inertial.tree.rates import begin_gap, gyroscope_density, mean_rate_into
 from gateway.reconstruction.inertial.tree.start import turn_heading_sums
 from gateway.reconstruction.inertial.tree.state import (
@@ -169,6 +169,8 @@ def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> flo
         w[i] = (segment.rate[i] - segment.bias[i]) * math.exp(-dt / tuning.longest_coast_s)
         segment.rate[i] = segment.bias[i] + w[i]
         gap.turn[i] += w[i] * dt
+        gap.last_slope[i] = np.nan
+    hold_axes(gap, now, dt)
     segment.silent_s += dt
     gap.seconds += dt
     # (6)  q Δt = V(t) − V(t − Δt)

@@ -46,8 +46,9 @@ def gyroscope_density(now: SegmentWork, tuning: Tuning) -> float:
 def begin_gap(segment: Segment) -> None:
     """Keep what bridges the gap that begins: the rate of the last sample, and its slope."""
     gap = segment.gap
-    gap.missed = 0.0
+    gap.missed, gap.made_up, gap.is_lost = 0.0, 0.0, 0
     for i in range(3):
         gap.rate[i], gap.slope[i], gap.turn[i] = segment.rate[i], segment.rate_slope[i], 0.0
+        gap.last_slope[i], gap.clip_s[i], gap.clip_left[i] = segment.rate_slope[i], 0.0, 3.0
         for j in range(3):
             gap.clipped_axes[i, j] = 0.0

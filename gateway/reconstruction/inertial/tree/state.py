@@ -212,6 +212,15 @@ class Gap(Record):
     cause: int  # Clip
     clipped_axes: Matrix  # rows: axes that came to the end of their range, segment axes, or 0
     missed: float  # variance of what the gyroscope has not shown since, not in P yet, rad²
+    last_slope: Vector  # of the newest rate, at the end of the range too, rad/s²; NaN: not known
+    clip_s: Vector  # of each axis, since its last rate within the range; 0: it is there
+    clip_left: Vector  # how many of its newest rates are within the range again; 3: more than two
+    clip_rate: Vector  # that last rate about it, bias included, rad/s
+    clip_slope: Vector  # and its change over the step before, rad/s²; NaN: not known
+    clip_turn: Vector  # by what the segment has been turned about it since, rad
+    clip_mean: Matrix  # rows: sum of where it was meanwhile times how long, segment axes as they are now, s
+    made_up: float  # sum of the squares of what has been made up for since the gap began, rad²
+    is_lost: int  # 1: an axis came back of which nothing could be made up for
 
 
 class Segment(Record):
@@ -326,7 +335,6 @@ class SegmentWork(Record):
     mean_rate: Vector  # that turns it from the frame before to this one, rad/s
     before: Matrix  # orientation of the frame before
     bridged_s: float  # length of the gap that this sample ends and that can be bridged; 0: none
-    clip_slope: Vector  # of the rate after the end of the gyroscope's range, rad/s²
     bridge: Vector  # how it has turned since the last sample before that, segment axes, rad
     K: Matrix  # filtered lever-arm matrix, 1/s², world
     motion: float  # ‖[ω̇, ω]‖, 1/s²
