@@ -28,12 +28,15 @@ def turned(angle):
     return lambda _: field
 
 
-def watched(seconds, field_at, rate=0.0):
-    """The compass of a level segment whose heading is right; rate: at which it is taken to turn, rad/s."""
+def watched(seconds, field_at, rate=0.0, tilt_square=1e-6):
+    """The compass of a level segment whose heading is right.
+
+    rate: at which it is taken to turn, rad/s. tilt_square: rad² by which its tilt is taken to be uncertain.
+    """
     segment, work = initial_state(N, 1).segments[SEGMENT], work_space(N)
     now, expected = work.segments[SEGMENT], work.shared.expected
     segment.R[...], segment.rate[0] = np.eye(3), rate
-    segment.P[...] = np.diag([1e-6, 1e-6, 1.0, 1e-4, 1e-4, 1e-4])
+    segment.P[...] = np.diag([tilt_square, tilt_square, 1.0, 1e-4, 1e-4, 1e-4])
     start_compass(segment.compass, TUNING)
     now.density = TUNING.gyroscope**2
     kernels.expect_field(expected, BODY.world, TUNING, DT)
@@ -42,7 +45,9 @@ def watched(seconds, field_at, rate=0.0):
         kernels._drift(segment, now, TUNING, DT)
         kernels.watch_field(segment, now, BODY.world, expected, TUNING, DT)
         segment.compass.offset_square = segment.field_watch.error_square / expected.horizontal
-        kernels._look(segment.compass, now, 0.0, TUNING, DT)
+        bent = tilt_square * (1.0 / expected.horizontal - 1.0)
+        kernels._look(segment.compass, now, bent, TUNING, DT)
+        segment.compass.tilt_square = segment.compass.misread**2 * bent
     return segment.compass
 
 
@@ -62,6 +67,48 @@ def test_a_heading_that_drifts_is_followed_with_its_rate():
     drift = np.radians(0.3)
     compass = watched(60.0, lambda t: turned(drift * t)(t))
     assert compass.angle == pytest.approx(60.0 * drift, abs=np.radians(3.0))
+
+
+def corrected(compass_misread, steps=20):
+    """The compass of a segment that first looked with a tilt 0.4 rad wrong, once that has been corrected.
+
+    Its heading is right; a step corrects the tilt by a share of its error.
+    """
+    segment, work = initial_state(N, 1).segments[SEGMENT], work_space(N)
+    now, expected, wrong = work.segments[SEGMENT], work.shared.expected, np.array([-0.3, 0.25, 0.0])
+    segment.R[...] = from_rotation_vector(wrong)
+    segment.P[...] = np.diag([0.1, 0.1, 1.0, 1e-4, 1e-4, 1e-4])
+    start_compass(segment.compass, TUNING)
+    now.magnetic_field[...] = BODY.world.magnetic_field
+    kernels.expect_field(expected, BODY.world, TUNING, DT)
+    kernels.watch_field(segment, now, BODY.world, expected, TUNING, DT)
+    kernels._look(segment.compass, now, 0.1, TUNING, DT)
+    first = segment.compass.angle
+    assert segment.compass.misread == 1.0
+    segment.compass.misread = compass_misread
+    for _ in range(steps):
+        now.turn[...] = -wrong / steps
+        now.rotation[...] = from_rotation_vector(now.turn)
+        kernels.turn_compass(segment, now)
+        segment.R[...] = now.rotation @ segment.R
+    return first, segment.compass.angle
+
+
+def test_a_first_look_with_a_wrong_tilt_is_right_once_the_tilt_is():
+    first, angle = corrected(1.0)
+    assert abs(np.degrees(first)) > 10.0
+    assert angle == pytest.approx(0.0, abs=1e-9)
+
+
+def test_looks_that_were_taken_with_many_tilts_stay_as_they_are_when_one_is_corrected():
+    first, angle = corrected(0.0)
+    assert angle == first
+
+
+def test_looks_with_one_tilt_do_not_add_up_to_a_sure_heading():
+    compass = watched(20.0, turned(0.0), tilt_square=0.05)
+    assert compass.misread > 0.9
+    assert compass.tilt_square > 10.0 * watched(20.0, turned(0.0)).variance
 
 
 def test_a_field_that_scatters_tells_less_than_one_that_does_not():

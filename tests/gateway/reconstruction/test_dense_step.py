@@ -478,20 +478,55 @@ class Checked:
             V[0, 0] = min(V[0, 0], tuning.unknown_heading**2)
             seen = np.angle(complex(*m[:2]) * np.conj(complex(*h[:2])))  # (27)
             assert now.field_off == pytest.approx(seen, abs=1e-9)
-            tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1]) * (1.0 / share - 1.0)
-            v = (before.scatter + tilt) * tuning.heading_memory_s / dt * now.disturbance  # (31)
+            tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
+            r = before.misread * tilt / (tilt + now.density * dt)
+            b = tilt * (1.0 / share - 1.0)  # variance of what the tilt misreads
+            steep = (np.arctan2(m[2], np.hypot(*m[:2])) - np.arctan2(h[2], np.hypot(*h[:2]))) ** 2
+            strong = (np.linalg.norm(m) / np.linalg.norm(h) - 1.0) / tuning.norm_tolerance
+            disturbed = 1.0 + steep / (tuning.dip_tolerance**2 + tilt) + strong**2
+            assert now.disturbance == pytest.approx(disturbed)
             if before.seconds == 0.0:
-                first = (before.scatter + tilt) * now.disturbance
+                first = (before.scatter + b) * disturbed
                 assert compass.variance == pytest.approx(min(first, tuning.unknown_heading**2))
                 assert compass.angle == pytest.approx(seen, abs=1e-9)
+                assert compass.misread == 1.0
                 continue
             off = np.angle(np.exp(1j * (seen - x[0])))
-            v *= max(1.0, abs(off) / np.sqrt(V[0, 0] + before.scatter) / tuning.huber)
-            gain = V[:, 0] / (V[0, 0] + v)
-            assert_close(np.array([compass.angle, compass.rate]), x + gain * off)
-            V = V - np.outer(gain, V[0])
-            assert compass.variance == pytest.approx(V[0, 0])
-            assert compass.rate_variance == pytest.approx(V[1, 1])
+            # errors of the compass, its rate, and what the tilt misreads: that is considered, not found
+            P = np.zeros((3, 3))
+            P[:2, :2], P[2, 2] = V, b
+            P[0, 0] += r * r * b
+            P[0, 2] = P[2, 0] = r * b
+            H = np.array([-1.0, 0.0, 1.0])
+            v = before.scatter * tuning.heading_memory_s / dt * disturbed  # (31)
+            v *= max(1.0, abs(off) / np.sqrt(H @ P @ H + before.scatter) / tuning.huber)
+            K = -P @ H / (H @ P @ H + v)
+            K[0], K[2] = max(K[0], 0.0), 0.0
+            assert_close(np.array([compass.angle, compass.rate]), x + K[:2] * off)
+            A = np.eye(3) + np.outer(K, H)
+            P = A @ P @ A.T + v * np.outer(K, K)
+            assert compass.misread * b == pytest.approx(P[0, 2])
+            assert compass.tilt_square == pytest.approx(compass.misread**2 * b)
+            assert compass.variance + compass.tilt_square == pytest.approx(P[0, 0])
+            assert compass.rate_variance == pytest.approx(P[1, 1])
+
+    def turn_segments(self, body, state, work):
+        """(30a); that all else turns is in (1)."""
+        was = state.segments.copy()
+        kernels.turn_segments(body, state, work)
+        for s, now in enumerate(work.segments):
+            turn, m = now.turn, was[s].R @ now.magnetic_field
+            if not turn.any():
+                continue
+            E = Rotation.from_rotvec(turn).as_matrix()
+            np.testing.assert_allclose(state.segments[s].R, E @ was[s].R, atol=1e-12)
+            by_field = turn[2]
+            if np.isfinite(m.sum()):
+                by_field = np.angle(complex(*(E @ m)[:2]) * np.conj(complex(*m[:2])))
+            by_tilt = np.angle(np.exp(1j * (by_field - turn[2])))
+            self.compared["compass_turn"] += 1
+            angle = was[s].compass.angle + turn[2] + was[s].compass.misread * by_tilt
+            assert state.segments[s].compass.angle == pytest.approx(angle, abs=1e-9)
 
     def start_segments(self, body, state, tuning, work):
         was = state.segments["started"].copy()
@@ -662,7 +697,7 @@ class Checked:
 CHECKED = {
     tree_step: (
         "predict", "average", "start_segments", "follow_sun", "stance_rows", "unaided_rows", "zero_rate_rows",
-        "update_tree", "update_outward", "note_corrections", "follow_field",
+        "update_tree", "update_outward", "note_corrections", "follow_field", "turn_segments",
     ),
     rows: ("joint_row", "learn_joint_arms", "gather_heading"),
     devices: ("_fixed_row", "_moving_row", "find_local_pair"),
@@ -682,7 +717,7 @@ LEAST = {
     "start": 20, "joint_row": 500, "open_joint_row": 1000, "heading": 1000, "joint_arms": 200,
     "fixed_point": 150, "pair": 60, "device": 3, "open_device": 50, "stance": 250, "zero_rate_watch": 4000,
     "zero_rate": 1000, "unaided": 40, "seen": 500, "starting": 40, "sun": 60, "corrections": 20,
-    "compass": 4000, "clipped": 300, "made_up": 6, "after_gap": 3,
+    "compass": 4000, "compass_turn": 4000, "clipped": 300, "made_up": 6, "after_gap": 3,
 }  # fmt: skip
 """How often each has to be compared over the chains: a reference that is hardly asked guards nothing."""
 UPDATES = {JointReconstructor: ("update", 8000), OutwardReconstructor: ("outward", 2500)}

@@ -17,8 +17,7 @@ import numpy as np
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records
-from gateway.geometry.vectors import dot
-from gateway.reconstruction.inertial.tree.rows import _horizontal_square
+from gateway.geometry.vectors import dot, is_finite
 from gateway.reconstruction.inertial.tree.start import give_of
 from gateway.reconstruction.inertial.tree.state import (
     Body,
@@ -66,10 +65,12 @@ def follow_field(body: Body, state: State, tuning: Tuning, work: Work, dt: float
         if now.validity >= RATE and math.isfinite(m[0] + m[1] + m[2]):
             watch_field(segment, now, world, expected, tuning, dt)
             shown = segment.field_watch.error_square / expected.horizontal
-            # (29) σ_o²
-            compass.offset_square = min(shown, tuning.largest_offset**2) + expected.by_tilt
-            bent = 0.5 * (segment.P[0, 0] + segment.P[1, 1]) * (1.0 / expected.horizontal - 1.0)
+            bent = tilt_square(segment) * (1.0 / expected.horizontal - 1.0)
             _look(compass, now, bent, tuning, dt)
+            compass.tilt_square = compass.misread**2 * bent
+            # (29) σ_o²
+            by_tilt = expected.by_tilt + compass.tilt_square
+            compass.offset_square = min(shown, tuning.largest_offset**2) + by_tilt
 
 
 @compiled
@@ -100,17 +101,19 @@ def watch_field(
     h, m, mean = world.magnetic_field, now.magnetic_field, segment.field_watch
     seen = _seen(segment.R, m)
     now.field_off = math.atan2(h[0] * seen[1] - h[1] * seen[0], h[0] * seen[0] + h[1] * seen[1])
-    length, dip = math.sqrt(dot(m, m)), math.atan2(seen[2], math.sqrt(_horizontal_square(seen)))
+    length, dip = math.sqrt(dot(m, m)), math.atan2(seen[2], math.hypot(seen[0], seen[1]))
     _watch_changes(mean, length, dip, expected, tuning, dt)
     stronger = (1.0 + mean.norm_change) * mean.norm / expected.norm - 1.0
     steeper = mean.dip_change + mean.dip - expected.dip
-    wrong, w, proof = stronger * stronger + steeper * steeper, segment.rate, expected.change_gain
+    # a wrong tilt makes of the dip what it is uncertain by
+    by_tilt, w, proof = tilt_square(segment), segment.rate, expected.change_gain
+    wrong = stronger * stronger + max(steeper * steeper - by_tilt, 0.0)
     if not wrong > mean.error_square:
         proof = math.sqrt(dot(w, w)) * dt / tuning.field_proof
     mean.error_square += min(proof, 1.0) * (wrong - mean.error_square)
-    steeper = (dip - expected.dip) / tuning.dip_tolerance
+    steeper = (dip - expected.dip) ** 2 / (tuning.dip_tolerance**2 + by_tilt)
     stronger = (length / expected.norm - 1.0) / tuning.norm_tolerance
-    now.disturbance = 1.0 + steeper * steeper + stronger * stronger
+    now.disturbance = 1.0 + steeper + stronger * stronger
 
 
 @compiled
@@ -152,7 +155,8 @@ def _drift(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> Non
     for i in range(3):
         for j in range(3):
             largest += R[2, i] * P[3 + i, 3 + j] * R[2, j]
-    keep = math.exp(-math.sqrt(dot(w, w)) * dt)
+    tilt, keep = tilt_square(segment), math.exp(-math.sqrt(dot(w, w)) * dt)
+    compass.misread *= tilt / (tilt + now.density * dt)
     compass.angle += compass.rate * dt
     compass.variance += dt * (2.0 * compass.covariance + dt * compass.rate_variance + now.density)
     compass.covariance = keep * (compass.covariance + dt * compass.rate_variance)
@@ -165,30 +169,59 @@ def _drift(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> Non
 
 
 @compiled
+def tilt_square(segment: Segment) -> float:
+    """Return the variance of a component of a segment's tilt, rad²."""
+    return float(0.5 * (segment.P[0, 0] + segment.P[1, 1]))
+
+
+@compiled
+def turn_compass(segment: Segment, now: SegmentWork) -> None:
+    """Turn a compass by the correction ``now.turn`` of its segment, equation (30a).
+
+    A heading's correction turns it alike. A tilt's turns the field that is seen now; what a compass holds of
+    looks that were taken with the same error of the tilt turns with it. ``segment.R`` is that of before.
+    """
+    compass, m, turned = segment.compass, now.magnetic_field, now.turn[2]
+    if compass.misread > 0.0 and is_finite(m):
+        before = _seen(segment.R, m)
+        x, y, _ = _seen(now.rotation, np.array(before))
+        by_field = math.atan2(before[0] * y - before[1] * x, before[0] * x + before[1] * y)
+        turned += compass.misread * _within_half_a_turn(by_field - now.turn[2])
+    compass.angle += turned
+    now.compass_turn = turned
+
+
+@compiled
 def _look(compass: Compass, now: SegmentWork, bent: float, tuning: Tuning, dt: float) -> None:
     """Update a compass by one measurement of the field, equation (31).
 
     How measurements scatter about what is expected decides how much one is worth. bent: rad², what an
-    uncertain tilt adds in a field that dips.
+    uncertain tilt adds in a field that dips; it counts as far as it is not in the compass already.
     """
     if compass.seconds == 0.0:  # what stays off to the same side is as little off at the first look
         compass.angle, compass.covariance, compass.seconds = now.field_off, 0.0, dt
         first = (compass.scatter + bent) * now.disturbance
         compass.variance = min(first, tuning.unknown_heading**2)
+        compass.misread = 1.0
         return
     off = _within_half_a_turn(now.field_off - compass.angle)
     compass.seconds += dt
-    weight = max(1.0, abs(off) / math.sqrt(compass.variance + compass.scatter) / tuning.huber)
-    noise = (compass.scatter + bent) * tuning.heading_memory_s / dt * weight * now.disturbance
+    new = 1.0 - compass.misread
+    uncertain = compass.variance + new * new * bent
+    weight = max(1.0, abs(off) / math.sqrt(uncertain + compass.scatter) / tuning.huber)
+    noise = compass.scatter * tuning.heading_memory_s / dt * weight * now.disturbance
     gain = dt / min(compass.seconds + tuning.compass_s, 3.0 * tuning.compass_s)
-    compass.scatter += gain * (max(off * off - compass.variance, tuning.compass_least**2) - compass.scatter)
-    total = compass.variance + noise
-    gain, rate_gain = compass.variance / total, compass.covariance / total
+    compass.scatter += gain * (max(off * off - uncertain, tuning.compass_least**2) - compass.scatter)
+    total = uncertain + noise
+    gain = max(compass.variance - compass.misread * new * bent, 0.0) / total
+    rate_gain = compass.covariance / total
     compass.angle += gain * off
+    compass.misread += gain * new
     compass.rate += rate_gain * off
     compass.rate_variance -= rate_gain * compass.covariance
-    compass.covariance -= gain * compass.covariance
-    compass.variance -= gain * compass.variance
+    kept = (1.0 - gain) * (compass.covariance - rate_gain * compass.variance)
+    compass.covariance = kept + gain * rate_gain * noise
+    compass.variance = (1.0 - gain) ** 2 * compass.variance + gain**2 * noise
 
 
 @compiled
@@ -218,7 +251,7 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
             weight = now.knows / (variance + off * off)
             now.information += weight
             now.information_angle += weight * now.unwrapped
-            now.information_turn += weight * now.turn[2]
+            now.information_turn += weight * now.compass_turn
         is_first = segments[s].heading == UNOBSERVED or now.apart == CUT_OFF
         # (32) without any compass: what hangs together turns by its share
         if variance == 0.0 and p >= 0 and is_first:
@@ -330,7 +363,7 @@ def weigh_compasses(segments: Records[Segment], works: Records[SegmentWork], tun
         compass, now = segments[s].compass, works[s]
         now.knows = 0.0
         if compass.seconds > 0.0:
-            now.knows = 1.0 / (1.0 + compass.variance / tuning.compass_clean**2)
+            now.knows = 1.0 / (1.0 + (compass.variance + compass.tilt_square) / tuning.compass_clean**2)
             most = max(most, now.knows)
     for s in range(len(segments)):
         works[s].knows /= max(most, 1e-12)

@@ -17,6 +17,7 @@ from gateway.frames import FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial.tree.clipping import hold_axes, make_up_clip, turn_as_clipped
+from gateway.reconstruction.inertial.tree.compass import turn_compass
 from gateway.reconstruction.inertial.tree.rates import begin_gap, gyroscope_density, mean_rate_into
 from gateway.reconstruction.inertial.tree.start import turn_heading_sums
 from gateway.reconstruction.inertial.tree.state import (
@@ -225,10 +226,11 @@ def turn_segments(body: Body, state: State, work: Work) -> None:
             turn_heading_sums(segments[s].heading_sums, works[s].turn[2])
     for s in range(len(segments)):
         now, segment = works[s], segments[s]
+        now.compass_turn = 0.0
         if _is_turn(now.turn):
             E, averages = now.rotation, segment.averages
-            segment.compass.angle += now.turn[2]
             rotation_matrix.exponential_into(E, now.turn[0], now.turn[1], now.turn[2])
+            turn_compass(segment, now)
             rotation_matrix.turn_columns(E, segment.R)
             rotation_matrix.turn_columns(E, averages.lever_arm_matrix)
             rotation_matrix.turn(E, averages.force)

@@ -127,6 +127,7 @@ def _start_covariance(segment: Segment, tilt: float, tuning: Tuning) -> None:
 def start_compass(compass: Compass, tuning: Tuning) -> None:
     """Reset a compass to an unknown error of the heading."""
     compass.angle, compass.rate, compass.covariance, compass.seconds = 0.0, 0.0, 0.0, 0.0
+    compass.misread, compass.tilt_square = 0.0, 0.0
     compass.variance, compass.rate_variance = tuning.unknown_heading**2, tuning.bias**2
     compass.scatter, compass.offset_square = tuning.compass_scatter**2, tuning.start_heading**2
     compass.error, compass.error_variance, compass.settled_s = 0.0, tuning.unknown_heading**2, 0.0

@@ -141,11 +141,13 @@ class Compass(Record):
 
     angle: float  # rad
     rate: float  # by which that grows, rad/s
-    variance: float  # of both
+    misread: float  # how much of the angle a tilt's error, as it is now, makes of it: 0 to 1
+    variance: float  # of angle, but for that, and rate
     covariance: float
     rate_variance: float
     scatter: float  # mean square of what a look differs by from what is expected, rad²
-    offset_square: float  # of what the field itself is off by throughout, rad²
+    tilt_square: float  # mean square of what a tilt's error makes of the angle, rad²
+    offset_square: float  # and of that and what the field itself is off by throughout
     seconds: float  # for which it has been seen
     error: float  # by which the heading is taken to be off, by all compasses and the filter, rad
     error_variance: float
@@ -350,7 +352,8 @@ class SegmentWork(Record):
     density: float  # of the gyroscope's noise, (rad/s)²/Hz
     information: float  # by compasses of the segment and those beyond, of its heading's error: weight, 1/rad²
     information_angle: float  # and weight times angle, 1/rad
-    information_turn: float  # and weight times what corrections have just turned it by, 1/rad
+    information_turn: float  # and weight times what corrections have just turned the compass by, 1/rad
+    compass_turn: float  # rad, that turn
     knows: float  # of its compass: how much it counts beside the surest, 0 to 1
     unwrapped: float  # rad, of the compass, so that neighbours differ by less than half a turn
     expected: float  # rad, error of the heading less that of the parent's, by motion alone
