@@ -136,5 +136,8 @@ def test_tilts_of_modules_that_move_on_the_body_are_told_less_sure(frames):
     ]
     for reconstructor, seen in zip(reconstructors, (frames, loose), strict=True):
         update_many(reconstructor, seen)
-    firm, soft = (np.array([one["sigma_tilt"] for one in r.certainty().values()]) for r in reconstructors)
-    assert (soft > 1.5 * firm).all()
+    lasting = 2.0 * (tuning().force_bias / np.linalg.norm(CHAIN.suit.gravity)) ** 2
+    firm, soft = (
+        np.array([one["sigma_tilt"] ** 2 for one in r.certainty().values()]) - lasting for r in reconstructors
+    )
+    assert (soft > 4.0 * firm).all()
