@@ -229,13 +229,13 @@ def _advance(
         if dt > SHORTEST_STEP_S:
             _take(body, state, tuning, work, dt, inputs.readings[taken : inputs.readings_end[t]])
             step(body, state, tuning, work, dt)
-            publish_covariances(body, state, tuning, work)
         else:
             for s in range(n):
                 work.segments[s].validity = NOTHING
         taken = inputs.readings_end[t]
 
         _statuses(held, status)
+        publish_covariances(body, state, tuning, work)
         _outputs(
             held, q_wb, outputs.angular_rate[first + t], outputs.joint_acceleration[first + t],
             outputs.sigma[first + t],
