@@ -167,7 +167,8 @@ class TestSmoothing:
         assert smoothed[620].status[1] == Status.PREDICTED
         claimed, of_filter = (np.stack([frame.sigma for frame in way]) for way in (smoothed, forward))
         lasting = np.sqrt(2.0) * tuning().force_bias / np.linalg.norm(GRAVITY)
-        assert (claimed <= of_filter).all() and (claimed > lasting).all()
+        assert (claimed <= of_filter).all()
+        assert (claimed > lasting).all()
 
     def test_how_it_is_cut_into_blocks_changes_no_bit(self, moving, tmp_path, monkeypatch):
         body, _, frames = moving
