@@ -54,9 +54,9 @@ class Claims:
     """How honest a solution is about its errors."""
 
     covered_percent: float
-    """Of errors within twice the root of the covariance's trace, else within twice ``sigma``."""
+    """Of errors within twice the root of the covariance's trace."""
     in_ellipsoid_percent: float
-    """Of errors within the ellipsoid that is to hold 95 % of them; NaN without covariance."""
+    """Of errors within the ellipsoid that is to hold 95 % of them."""
     nees: float
     """Mean normalised estimation error squared over its degrees of freedom: 1 is honest, above claims too
     much."""
@@ -86,22 +86,23 @@ def errors(case: Case, variant: Variant, q_wb: FloatArray, is_later: bool = Fals
 
 
 def claims(case: Case, variant: Variant, solution: Solution) -> Claims:
-    """Return how honest it is; in the truth's world where that is known, else as far as tilts tell."""
+    """Return how honest it is; in the truth's world where that is known, else as far as tilts tell.
+
+    Where truth and rig have the same axes no misalignment is taken out of a tilt either: it would take the
+    constant error of the accelerometer with it.
+    """
     scored = _scored(case)
-    q_wb, sigma, wanted = solution.q_wb[scored], solution.sigma[scored], case.truth[scored]
+    q_wb, wanted = solution.q_wb[scored], case.truth[scored]
     is_known = case.is_world_known and variant.has_field
-    if not is_known:
+    if not case.is_world_known:
         wanted = levelled(case, _in_its_world(case.truth, align_segments(q_wb, wanted)))[scored]
     sound = np.isfinite(wanted).all(axis=2) & np.isfinite(q_wb).all(axis=2)
-    if solution.covariance is None:
-        total = orientation_error(q_wb, wanted).total
-        return Claims(coverage_percent(total[sound], sigma[sound]), float("nan"), float("nan"))
-    axes = 3 if is_known else 2
-    square = np.full(sound.shape, np.nan)
-    off = _vectors(q_wb[sound], wanted[sound])[:, :axes]
+    off = (_vectors if is_known else _tilts)(q_wb[sound], wanted[sound])
+    axes = off.shape[1]
     P = solution.covariance[scored][sound][:, :axes, :axes]
     expected = np.sqrt(np.trace(P, axis1=1, axis2=2))
     covered = coverage_percent(np.linalg.norm(off, axis=1), expected)
+    square = np.full(sound.shape, np.nan)
     square[sound] = np.einsum("ni,ni->n", off, np.linalg.solve(P, off[..., None])[..., 0])
     within = float(100.0 * np.mean(square[sound] < CHI2_95[axes]))
     bins = [float(np.nanmean(each)) / axes for each in np.array_split(square, TIME_BINS)]
@@ -188,6 +189,15 @@ def _vectors(q: FloatArray, truth: FloatArray) -> FloatArray:
     """Return rotation vectors (N, 3), world axes, from estimates to truths."""
     turn = Rotation.from_quat(truth, scalar_first=True) * Rotation.from_quat(q, scalar_first=True).inv()
     return np.asarray(turn.as_rotvec())
+
+
+def _tilts(q: FloatArray, truth: FloatArray) -> FloatArray:
+    """Return the horizontal rotation vectors (N, 2), world axes, from estimates to the tilts of truths."""
+    up = Rotation.from_quat(truth, scalar_first=True).inv().apply([0.0, 0.0, 1.0])
+    x, y, z = Rotation.from_quat(q, scalar_first=True).apply(up).T
+    sine = np.hypot(x, y)
+    turn = np.arctan2(sine, z) / np.maximum(sine, np.finfo(np.float64).tiny)
+    return np.column_stack([turn * y, -turn * x])
 
 
 def _headings(q_wb: FloatArray, wanted: FloatArray) -> FloatArray:

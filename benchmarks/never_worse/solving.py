@@ -29,7 +29,7 @@ class Solution(NamedTuple):
 
     q_wb: FloatArray  # (T, S, 4)
     sigma: FloatArray  # (T, S) rad
-    covariance: FloatArray | None  # (T, S, 3, 3) rad², world axes; None: not given
+    covariance: FloatArray  # (T, S, 3, 3) rad², world axes, as published
 
 
 def live(method: str, case: Case, variant: Variant, settings: ChainSettings | None = None) -> Solution:
@@ -52,7 +52,7 @@ def smoothed(method: str, case: Case, variant: Variant, settings: ChainSettings 
     with tempfile.TemporaryDirectory() as folder:
         smoother = Smoother(body, Path(folder))
         smoother.add(case.frames)
-        return Solution(*_stacked(list(smoother.smoothed())), None)
+        return Solution(*_stacked(list(smoother.smoothed())), smoother.covariance())
 
 
 def _body(

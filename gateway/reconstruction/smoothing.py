@@ -62,7 +62,7 @@ class _Block:
     sigma: FloatArray  # (T, n)
     status: StatusArray  # (T, n)
     root: IntArray  # (T,)
-    covariance: FloatArray  # (T, n, 3, 3)
+    covariance: FloatArray  # (T, n, 2, 3, 3) the estimate's own, and the published one
 
     def frames(self) -> list[ImuFrame]:
         """Return what was observed, stuck modules left out."""
@@ -133,6 +133,10 @@ class Smoother:
             report(self._n_blocks + k + 1, total)  # before: who takes the last pose asks for no more
             yield from self._finished(k)
 
+    def covariance(self) -> FloatArray:
+        """Return that of the errors of what ``smoothed`` has yielded, (T, n, 3, 3) rad², world axes."""
+        return np.concatenate([self._read(k).covariance[:, :, 1] for k in range(self._n_blocks)])
+
     def _go_forward(self, frames: Sequence[ImuFrame]) -> None:
         prepared = self._body.prepare(frames)
         clean, seen, stood_s = prepared.observations, prepared.frames, prepared.stood_s
@@ -156,7 +160,7 @@ class Smoother:
             ).reshape(-1, 4),
             readings=np.array([(r.value, r.sigma) for _, r in readings], np.float64).reshape(-1, 2, 3),
             **{name: getattr(found, name) for name in (*POSE_ARRAYS, "root")},
-            covariance=covariance[:, :, 0].copy(),
+            covariance=covariance,
         )
 
         self._end_ns = int(block.time_ns[-1])
@@ -173,7 +177,7 @@ class Smoother:
         q_back = np.stack([frame.q_wb for frame in found])
         known_later = np.isnan(block.q_wb[..., 0]) & np.isfinite(q_back[..., 0])
         sigma_back = np.stack([frame.sigma for frame in found])
-        P_back = covariance[::-1, :, 0].copy()
+        P_back = np.ascontiguousarray(covariance[::-1])
         put_together(block.q_wb, block.covariance, block.sigma, q_back, P_back, sigma_back)
         block.status[known_later] = Status.PREDICTED
         block.angular_rate = _mean(block.angular_rate, -np.stack([frame.angular_rate for frame in found]))

@@ -98,24 +98,33 @@ def test_certainty_tells_tilt_heading_and_neighbours_apart(frames, uses_field, o
 
 
 @pytest.mark.parametrize("uses_field", [False, True])
-def test_tilts_are_told_as_sure_as_the_joints_around_them_agree(frames, uses_field):
-    suit, used = CHAIN.suit, tuning()
+@pytest.mark.parametrize("is_aided", [False, True])
+def test_tilts_are_told_as_sure_as_the_joints_around_them_agree(frames, uses_field, is_aided):
+    """But for what all of an unaided body have in common, which no joint shows."""
+    suit, used = CHAIN.suit if is_aided else replace(CHAIN.suit, local_devices=()), tuning()
     reconstructor = JointReconstructor(suit, 1.0 / RATE_HZ, ChainSettings(uses_field=uses_field))
     covariance = np.empty((len(frames), suit.skeleton.n_segments, 2, 3, 3))
     poses = reconstructor.update_many(frames, None, covariance)
     segments, parents = reconstructor.state()["segments"], suit.skeleton.parents
     lasting = (used.force_bias / np.linalg.norm(suit.gravity)) ** 2
     told = reconstructor.certainty()
+    tilts = [np.trace(P[:2, :2]) for P in segments["P"]]
     for s, name in enumerate(suit.skeleton.segment_names):
         around = [segments["joint_nis"][k] for k, p in enumerate(parents) if p >= 0 and s in (k, p)]
-        share = max(used.tilt_nis * np.mean(around), used.least_tilt_nis)
-        tilt = share * (segments["P"][s, :2, :2] + lasting * np.eye(2))
+        share = used.tilt_nis * np.mean(around)
+        assert share < 1.0
+        in_common = 0.0 if is_aided else (1.0 - share) * min(tilts) / tilts[s]
+        tilt = (share + in_common) * segments["P"][s, :2, :2] + lasting * np.eye(2)
         np.testing.assert_allclose(covariance[-1, s, 1, :2, :2], tilt)
         assert not covariance[-1, s, 1, 2, :2].any()
         of_heading = covariance[-1, s, 1, 2, 2]
         assert of_heading <= segments["P"][s, 2, 2]
         assert told[name]["sigma_tilt"] == pytest.approx(np.sqrt(np.trace(tilt)))
         assert poses[-1].sigma[s] == pytest.approx(np.sqrt(np.trace(tilt) + of_heading))
+        if parents[s] >= 0:  # two accelerometers are off, and what both segments share does not count
+            between = segments["P"][s] + segments["P"][parents[s]] - segments["C"][s] - segments["C"][s].T
+            expected = share * np.trace(between[:2, :2]) + 4.0 * lasting + between[2, 2]
+            assert told[name]["sigma_relative"] == pytest.approx(np.sqrt(expected))
 
 
 def test_tilts_of_modules_that_move_on_the_body_are_told_less_sure(frames):
@@ -127,5 +136,8 @@ def test_tilts_of_modules_that_move_on_the_body_are_told_less_sure(frames):
     ]
     for reconstructor, seen in zip(reconstructors, (frames, loose), strict=True):
         update_many(reconstructor, seen)
-    firm, soft = (np.array([one["sigma_tilt"] for one in r.certainty().values()]) for r in reconstructors)
-    assert (soft > 1.5 * firm).all()
+    lasting = 2.0 * (tuning().force_bias / np.linalg.norm(CHAIN.suit.gravity)) ** 2
+    firm, soft = (
+        np.array([one["sigma_tilt"] ** 2 for one in r.certainty().values()]) - lasting for r in reconstructors
+    )
+    assert (soft > 4.0 * firm).all()

@@ -28,13 +28,17 @@ def test_two_orientations_are_put_together_by_their_covariances():
     q_back = quaternions([0.2, 0.0, 0.3])[None]
     wide, sigma = np.diag([1e-4, 1e-4, 0.02]), np.full((1, 1), 0.2)
     sigma_back = np.full((1, 1), 0.1)
-    put_together(q_wb, np.array([[wide]]), sigma, q_back, np.array([[wide / 2.0]]), sigma_back)
+    published, published_back = np.diag([1e-3, 2e-3, 0.05]), np.diag([3e-3, 1e-3, 0.005])
+    P = np.array([[[wide, published]]])
+    put_together(q_wb, P, sigma, q_back, np.array([[[wide / 2.0, published_back]]]), sigma_back)
     turned = Rotation.from_quat(q_wb[0, 0], scalar_first=True)
     difference = turned * Rotation.from_rotvec([0.2, 0.0, 0.0]).inv()
     full = Rotation.from_quat(q_back[0, 0], scalar_first=True) * Rotation.from_rotvec([0.2, 0, 0]).inv()
     # twice as sure: two thirds of the way, about the one axis that is uncertain
     np.testing.assert_allclose(difference.as_rotvec(), full.as_rotvec() * 2.0 / 3.0, atol=1e-12)
-    assert sigma[0, 0] == 0.1  # that of the surer one
+    # the surer tilt, and the surer heading
+    np.testing.assert_array_equal(P[0, 0, 1], np.diag([1e-3, 2e-3, 0.005]))
+    assert sigma[0, 0] == pytest.approx(np.sqrt(0.008))
 
 
 @pytest.mark.parametrize("known", ["forward", "backward"])
@@ -42,7 +46,7 @@ def test_where_only_one_knows_it_counts(known):
     q_wb, q_back = quaternions([0.1, 0.2, 0.3])[None], quaternions([0.1, 0.2, 0.3])[None]
     expected = q_wb.copy()
     (q_back if known == "forward" else q_wb)[:] = np.nan
-    P, sigma = np.tile(0.01 * np.eye(3), (1, 1, 1, 1)), np.full((1, 1), np.sqrt(0.03))
+    P, sigma = np.tile(0.01 * np.eye(3), (1, 1, 2, 1, 1)), np.full((1, 1), np.sqrt(0.03))
     put_together(q_wb, P, sigma, q_back, P, sigma.copy())
     np.testing.assert_array_equal(q_wb, expected)
     assert sigma[0, 0] == pytest.approx(np.sqrt(0.03))
@@ -161,6 +165,10 @@ class TestSmoothing:
         silent = slice(600, 650)
         assert error[silent, 1].max() < 0.6 * live[silent, 1].max()
         assert smoothed[620].status[1] == Status.PREDICTED
+        claimed, of_filter = (np.stack([frame.sigma for frame in way]) for way in (smoothed, forward))
+        lasting = np.sqrt(2.0) * tuning().force_bias / np.linalg.norm(GRAVITY)
+        assert (claimed <= of_filter).all()
+        assert (claimed > lasting).all()
 
     def test_how_it_is_cut_into_blocks_changes_no_bit(self, moving, tmp_path, monkeypatch):
         body, _, frames = moving

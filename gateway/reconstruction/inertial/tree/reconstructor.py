@@ -148,6 +148,8 @@ class ChainReconstructor:
         field alone), ``held`` (gyroscopes alone).
         """
         names, links, segments = self._suit.skeleton.segment_names, self._body.segments, self._state.segments
+        # (68) the tilts that constant errors of two accelerometers leave
+        lasting = 4.0 * (self._settings.tuning.force_bias / float(np.linalg.norm(self._suit.gravity))) ** 2
         found: dict[str, dict[str, float | str | None]] = {}
         for s in range(self._n):
             segment, p = segments[s], links[s].parent
@@ -159,9 +161,9 @@ class ChainReconstructor:
             if p >= 0:
                 C = segment.C[:3, :3]
                 between = segment.P[:3, :3] + segments[p].P[:3, :3] - C - C.T
-                # (68) of the tilt
-                tilt = np.trace(between[:2, :2]) * tilt_square / float(segment.P[0, 0] + segment.P[1, 1])
-                relative = math.sqrt(max(float(tilt + between[2, 2]), 0.0))
+                tilt = segment.tilt_share * float(np.trace(between[:2, :2])) + lasting
+                missed = 3.0 * (segment.gap.missed + segments[p].gap.missed)
+                relative = math.sqrt(max(tilt + float(between[2, 2]) + missed, 0.0))
                 is_shown = is_shown and bool(between[2, 2] < SHOWN_HEADING**2)
             else:
                 is_shown = is_shown and links[s].heading_observable == 1

@@ -9,6 +9,7 @@ innovation.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -112,10 +113,11 @@ def put_together(
 ) -> None:
     """Combine forward and backward orientations (T, n, 4) into the forward ones, in place, equation (66).
 
-    sigma (T, n), rad, becomes that of the surer one. P, P_back: (T, n, 3, 3) rad², world axes. With the
-    rotation ``δ = log(R_back R⁻¹)`` the orientation moves by ``P (P + P_back)⁻¹ δ``. Where only one of the
-    two is defined, that one counts. The backward filter starts from the forward one's end, so they are not
-    independent: sigma claims no more than the surer one.
+    P, P_back: (T, n, 2, 3, 3) rad², world axes: the estimates' own, and the published ones. With the rotation
+    ``δ = log(R_back R⁻¹)`` the orientation moves by ``P (P + P_back)⁻¹ δ`` of its own. What both have in
+    common, as modules that move on the body, does not become less by that: the published P is that of the
+    surer tilt and of the surer heading, and sigma (T, n), rad, the root of its trace. Where only one of the
+    two is defined, that one counts.
     """
     both, known = np.empty((3, 3)), np.empty((3, 3))
     for t in range(q_wb.shape[0]):
@@ -125,14 +127,26 @@ def put_together(
             if not is_finite(q_wb[t, s]):
                 q_wb[t, s] = q_back[t, s]
                 sigma[t, s] = sigma_back[t, s]
+                P[t, s] = P_back[t, s]
                 continue
             for i in range(3):
                 for j in range(3):
-                    both[i, j] = P[t, s, i, j] + P_back[t, s, i, j]
+                    both[i, j] = P[t, s, 0, i, j] + P_back[t, s, 0, i, j]
             inverse_3_into(known, both)
-            gain = P[t, s] @ known
+            gain = P[t, s, 0] @ known
             difference = quaternion.multiply(q_back[t, s], quaternion.conjugate(q_wb[t, s]))
             turn = gain @ quaternion.to_rotation_vector(difference)
             q = quaternion.multiply(quaternion.from_rotation_vector(turn), q_wb[t, s])
             q_wb[t, s] = quaternion.canonical(quaternion.normalise(q))
-            sigma[t, s] = min(sigma[t, s], sigma_back[t, s])
+            published = P[t, s, 1]
+            _take_surer(published, P_back[t, s, 1])
+            square = published[0, 0] + published[1, 1] + published[2, 2]
+            sigma[t, s] = min(sigma[t, s], sigma_back[t, s], math.sqrt(square))
+
+
+@compiled
+def _take_surer(P: FloatArray, other: FloatArray) -> None:
+    """Replace the tilt's block of P (3, 3), and the heading's, by that of the other where it is surer."""
+    if other[0, 0] + other[1, 1] < P[0, 0] + P[1, 1]:
+        P[:2, :2] = other[:2, :2]
+    P[2, 2] = min(P[2, 2], other[2, 2])

@@ -238,6 +238,7 @@ class Segment(Record):
     P: Block  # covariance of its errors: orientation (world axes, rad), bias (segment axes, rad/s)
     C: Block  # of its errors (rows) with its parent's (columns)
     published: Matrix  # covariance of its orientation's error as published, rad², world axes
+    tilt_share: float  # of P of its tilt against its neighbours', as the joints around it agree
     rate: Vector  # last measured, bias included, rad/s
     rate_slope: Vector  # its change over the last step, rad/s²; NaN: not known
     averages: Averages
@@ -373,6 +374,7 @@ class SegmentWork(Record):
     offset: Six  # error where the parent has none
     agreement: float  # sum of N of the joints around it
     agreeing: int  # and how many they are
+    least_tilt: float  # of a first segment: variance of the tilt known best in its chain, rad²
 
 
 class Joint(NamedTuple):

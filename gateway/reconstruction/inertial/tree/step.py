@@ -475,38 +475,56 @@ def _own_covariance(P: FloatArray, segment: Segment, world: World) -> None:
 
 @compiled
 def publish_covariances(body: Body, state: State, tuning: Tuning, work: Work) -> None:
-    """Set ``published`` of every segment, rad², world axes, equation (68).
+    """Set ``published`` and ``tilt_share`` of every segment, equation (68); rad², world axes.
 
-    It is P with the tilt scaled by how well the joints around the segment agree, plus the tilt that a
-    constant error of the accelerometer leaves; the heading's variance is that of the compass where the field
-    is used, if that is smaller.
+    Published is P with the tilt scaled by how well the joints around the segment agree, but for what all of
+    an unaided chain have in common, plus the tilt that a constant error of the accelerometer leaves; the
+    heading's variance is that of the compass where the field is used, if that is smaller.
     """
     links, segments, works = body.segments, state.segments, work.segments
-    for s in range(len(links)):
-        works[s].agreement, works[s].agreeing = 0.0, 0
-    for s in range(len(links)):
-        p, nis = links[s].parent, segments[s].joint_nis
-        if p >= 0 and segments[s].started == STARTED and nis < tuning.loose_nis:
-            for k in (s, p):
-                works[k].agreement += nis
-                works[k].agreeing += 1
+    _compare_tilts(links, segments, works, tuning)
     is_world_shown = shows_world(links, segments)
     lasting = tuning.force_bias**2 / dot(body.world.gravity, body.world.gravity)
     for s in range(len(links)):
-        now, segment, share = works[s], segments[s], 1.0
+        now, segment = works[s], segments[s]
+        first, P, published = works[now.chain], segment.P, segment.published
         if now.agreeing > 0:
-            # (68) N̄_s
-            share = max(tuning.tilt_nis * now.agreement / now.agreeing, tuning.least_tilt_nis)
-        P, published, of_field = segment.P, segment.published, segment.compass.error_variance
+            # (68) ν_s
+            segment.tilt_share = tuning.tilt_nis * now.agreement / now.agreeing
+        else:
+            segment.tilt_share = 1.0
+        share = segment.tilt_share
+        if first.aided == 0 and share < 1.0 and segment.started != NOT_STARTED:
+            # (68) joints do not tell of a tilt that all of the chain have in common
+            share += (1.0 - share) * first.least_tilt / (P[0, 0] + P[1, 1])
         for i in range(2):
             for j in range(2):
-                published[i, j] = share * (P[i, j] + (lasting if i == j else 0.0))
+                published[i, j] = share * P[i, j] + (lasting if i == j else 0.0)
             published[i, 2], published[2, i] = 0.0, 0.0
         published[2, 2] = P[2, 2]
         if body.world.uses_field:
+            of_field = segment.compass.error_variance
             published[2, 2] = min(P[2, 2], of_field) if is_world_shown else of_field
         for i in range(3):
             published[i, i] += segment.gap.missed
+
+
+@compiled
+def _compare_tilts(
+    links: Records[Link], segments: Records[Segment], works: Records[SegmentWork], tuning: Tuning
+) -> None:
+    """Set how well the joints around each segment agree, and the tilt known best in each chain."""
+    for s in range(len(links)):
+        works[s].agreement, works[s].agreeing, works[s].least_tilt = 0.0, 0, math.inf
+    for s in range(len(links)):
+        p, segment = links[s].parent, segments[s]
+        if p >= 0 and segment.started == STARTED and segment.joint_nis < tuning.loose_nis:
+            for k in (s, p):
+                works[k].agreement += segment.joint_nis
+                works[k].agreeing += 1
+        if segment.started != NOT_STARTED:
+            first = works[works[s].chain]
+            first.least_tilt = min(first.least_tilt, segment.P[0, 0] + segment.P[1, 1])
 
 
 @compiled

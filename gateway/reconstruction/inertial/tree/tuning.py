@@ -68,9 +68,6 @@ class Tuning(Record):
         "square of a tilt's error over its variance, for joints of mean NIS 1",
         "training recordings of suite never_worse",
     )
-    least_tilt_nis: float = constant(
-        0.04, "", "the least of that: how well joints agree does not show everything", "a fifth of sigma"
-    )
     loose_nis: float = constant(
         9.0,
         "",
