@@ -18,9 +18,9 @@ from benchmarks.never_worse.solving import OURS
 
 _VARIANTS = [Variant(device, field) for device in (True, False) for field in (True, False)]
 _OWN = ("joint", "outward", "independent")
-_TARGETS = {"covered_percent": (">=95", ""), "in_ellipsoid_percent": (">=93", "<=97")}
-"""Of the least and of the most; 2 sigma holds 95 to 99 % of honest errors, as these are about one axis or
-three."""
+_TARGETS = dict.fromkeys(("covered_percent", "in_ellipsoid_percent"), (">=93", "<=97"))
+"""Of the least and of the most. The first is met by honest claims only where one axis is much less certain
+than the others: of two or three alike, 98 or 99 % of errors are within 2 sigma."""
 
 
 def report(found: list[Judged]) -> Report:

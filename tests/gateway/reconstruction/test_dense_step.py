@@ -104,6 +104,18 @@ def own(work):
     return told["own"].copy(), told["own_vector"].copy()
 
 
+def start_square(body, now, tuning):
+    """a_0² of (64)."""
+    f, w = now.specific_force, now.angular_rate
+    felt = np.linalg.norm(f) - np.linalg.norm(body.world.gravity)
+    return felt**2 + (tuning.start_arm * (w @ w)) ** 2
+
+
+def shows_acceleration(segment, tuning):
+    tilt = segment.P[0, 0] + segment.P[1, 1]
+    return segment.averages.long_seconds >= tuning.unaided_window_s and tilt <= tuning.aided_tilt**2
+
+
 class Checked:
     """The compiled steps, each held against its reference."""
 
@@ -391,29 +403,63 @@ class Checked:
                 beta = (is_now.rate - segment.bias) / v
                 np.testing.assert_allclose((after[1] - before[1])[s, 3:], beta, rtol=1e-6, atol=1e-9 / v)
 
+    def lasting_tilts(self, body, was, state, tuning, work, dt):
+        """(40a): P of all segments of a chain, and C of its edges, grow by the same."""
+        g, window_s = np.linalg.norm(body.world.gravity), tuning.unaided_window_s
+        judges = {}
+        for s, now in enumerate(work.segments):
+            if now.validity == Validity.FORCE and shows_acceleration(was[s], tuning):
+                judges.setdefault(now.chain, []).append(s)
+        for s, now in enumerate(work.segments):
+            grown = np.zeros(6)
+            if now.chain in judges and not work.segments[now.chain].aided:
+                steadiest = min(judges[now.chain], key=lambda j: state.segments[j].unaided_square)
+                judge, lasting = was[steadiest], state.segments[steadiest].averages.lasting_force
+                square = tuning.acceleration_share * state.segments[steadiest].unaided_square
+                seen = (0.5 * lasting[:2] @ lasting[:2] - square) / g**2
+                over = max(seen - 0.5 * (judge.P[0, 0] + judge.P[1, 1]), 0.0)
+                grown[:2] = over * (1.0 - np.exp(-dt / window_s))
+            assert_close(state.segments[s].P, was[s].P + np.diag(grown))
+            p = body.segments[s].parent
+            is_shared = body.world.is_tree and p >= 0 and work.segments[p].chain == now.chain
+            assert_close(state.segments[s].C, was[s].C + is_shared * np.diag(grown))
+
     def unaided_rows(self, body, state, tuning, work, dt):
         before, was = own(work), state.segments.copy()
         kernels.unaided_rows(body, state, tuning, work, dt)
+        self.lasting_tilts(body, was, state, tuning, work, dt)
         counts = Counter(now.chain for now in work.segments if now.validity == Validity.FORCE)
         for s, now in enumerate(work.segments):
             if now.validity != Validity.FORCE:
                 continue
             segment, window_s = state.segments[s], tuning.unaided_window_s
-            fades = was[s].starting_square * np.exp(-dt / tuning.starting_memory_s)
             lasted_s = max(segment.averages.long_seconds, dt)
-            square = max(tuning.least_acceleration**2, fades, rows.LEAST_SQUARE)
+            starting = was[s].starting_square * np.exp(-dt / tuning.starting_memory_s)
+            begun_s = was[s].since_start_s + dt
+            if begun_s < window_s:
+                self.compared["starting_square"] += 1
+                moved = tuning.starting_share * start_square(body, now, tuning)
+                starting = was[s].starting_square + dt / begun_s * (moved - was[s].starting_square)  # (65)
+            starting = max(starting, rows.LEAST_SQUARE)
+            assert segment.starting_square == pytest.approx(starting)
+            square = max(tuning.least_acceleration**2, starting)
             if lasted_s < window_s:
-                square = max(square, (tuning.unaided_speed / lasted_s) ** 2)
+                grown = min((window_s / lasted_s) ** 2, 1.0 / tuning.starting_share) * starting
+                square = max(square, (tuning.unaided_speed / lasted_s) ** 2, grown)
             u, at_rest, tilt = (
                 segment.averages.long_force,
                 body.world.at_rest,
                 segment.P[0, 0] + segment.P[1, 1],
             )
-            if segment.averages.long_seconds >= window_s and tilt <= tuning.aided_tilt**2:
+            if shows_acceleration(was[s], tuning):
                 self.compared["seen"] += 1
-                seen, old = np.mean((u - at_rest) ** 2), was[s].unaided_square
-                expected = old + (1.0 - np.exp(-dt / tuning.acceleration_memory_s)) * (seen - old)  # (40)
-                assert segment.unaided_square == pytest.approx(expected)
+                gain = 1.0 - np.exp(-dt / tuning.acceleration_memory_s)
+                lasting = was[s].averages.lasting_force + gain * (u - was[s].averages.lasting_force)
+                seen, old = np.mean((u - lasting) ** 2), was[s].unaided_square
+                assert_close(segment.averages.lasting_force, lasting)
+                assert segment.unaided_square == pytest.approx(old + gain * (seen - old))  # (40)
+            else:
+                assert_close(segment.averages.lasting_force, u)
             gravity = np.zeros((3, 3)), np.zeros(3)
             if now.bridged_s > tuning.longest_bridge_s and lasted_s == dt:
                 self.compared["after_gap"] += 1
@@ -536,7 +582,7 @@ class Checked:
             if was[s] == Started.YES or state.segments[s].started != Started.YES:
                 continue
             self.compared["start"] += 1
-            segment, f, w = state.segments[s], now.specific_force, now.angular_rate
+            segment, f = state.segments[s], now.specific_force
             np.testing.assert_allclose(
                 segment.R @ f / np.linalg.norm(f), -g / np.linalg.norm(g), atol=1e-9
             )  # (62)
@@ -544,12 +590,11 @@ class Checked:
             facing = complex(*m[:2]) * np.conj(complex(*h[:2]))
             assert facing.real > 0.0
             assert facing.imag == pytest.approx(0.0, abs=1e-9 * abs(facing))
-            moved = (np.linalg.norm(f) - np.linalg.norm(g)) ** 2 + (tuning.start_arm * (w @ w)) ** 2  # (64)
+            moved = start_square(body, now, tuning)
             tilt = min(tuning.start_tilt**2 + moved / (g @ g), tuning.unknown_heading**2)
             P = np.diag([tilt, tilt, tuning.unknown_heading**2] + [tuning.bias**2] * 3)  # (63)
             assert_close(segment.P, P)
             assert not segment.C.any()
-            assert segment.starting_square == pytest.approx(tuning.starting_share * moved)  # (65)
 
     def fixed_row(self, body, state, tuning, work, d, dt):
         mount, device = body.devices[d], state.devices[d].copy()
@@ -718,6 +763,7 @@ LEAST = {
     "fixed_point": 150, "pair": 60, "device": 3, "open_device": 50, "stance": 250, "zero_rate_watch": 4000,
     "zero_rate": 1000, "unaided": 40, "seen": 500, "starting": 40, "sun": 60, "corrections": 20,
     "compass": 4000, "compass_turn": 4000, "clipped": 300, "made_up": 6, "after_gap": 3,
+    "starting_square": 1000,
 }  # fmt: skip
 """How often each has to be compared over the chains: a reference that is hardly asked guards nothing."""
 UPDATES = {JointReconstructor: ("update", 8000), OutwardReconstructor: ("outward", 2500)}

@@ -48,7 +48,7 @@ def wrongly_turned(state, angle):
         segments["R"][s] = turn @ segments["R"][s]
         averages = segments["averages"]
         averages["lever_arm_matrix"][s] = turn @ averages["lever_arm_matrix"][s]
-        for name in ("force", "last_force", "long_force"):
+        for name in ("force", "last_force", "long_force", "lasting_force"):
             averages[name][s] = turn @ averages[name][s]
     for name in ("along", "across", "length", "seconds"):  # what has shown it right is not to be had
         segments["heading_sums"][name][TURNED] = 0.0

@@ -61,6 +61,7 @@ OPTICAL_TOLERANCE = 1e-6
 BY_AXES = {
     "joint": "rows that surprise (_huber, learn_rows) count less by what each world axis shows, one by one",
     "outward_held": "as joint",
+    "outward_walking": "as joint, from when a heading is observed and its joint's lever arms are learnt",
     "gyro_free": "add_vector judges surprise, and _hold the place of a joint, by each world axis for itself",
 }
 BY_NUMBER = "learn_joint_arms begins at a third of the frames that the number of the segment tells"

@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from gateway.emulation.fast_arm import sampled
+from benchmarks.never_worse.case import Variant
+from benchmarks.never_worse.judging import tilt_errors
+from benchmarks.never_worse.simulated import ring_moving_case
+from benchmarks.never_worse.solving import live
+from gateway.emulation.fast_arm import fast_arm, sampled
 from gateway.emulation.random_chains import drawn
 from gateway.frames import FloatArray
 from gateway.geometry.comparison import orientation_error
@@ -13,6 +17,9 @@ from gateway.reconstruction.inertial.tree.reconstructor import (
     JointReconstructor,
     OutwardReconstructor,
 )
+from gateway.reconstruction.inertial.tree.rows import note_acceleration, note_start, unaided_rows
+from gateway.reconstruction.inertial.tree.state import Validity, chain_body, initial_state, work_space
+from gateway.reconstruction.inertial.tree.tuning import tuning
 from gateway.reconstruction.reconstructor import update_many
 
 
@@ -58,3 +65,59 @@ def test_those_before_turn_to_one_whose_device_has_shown_its_heading() -> None:
     late = [pose for pose in update_many(joint, frames) if pose.time_ns > frames[0].time_ns + 4e9]
     truth = chain.motion.state(np.array([pose.time_ns for pose in late]) * 1e-9).q_wb
     assert np.degrees(orientation_error(np.stack([pose.q_wb for pose in late]), truth).total).max() < 15.0
+
+
+@pytest.mark.parametrize("seed", [7, 10])
+def test_a_chain_that_nothing_aids_finds_down_again_within_ten_seconds(seed: int) -> None:
+    """Its first samples happen to feel gravity alone, as segments at rest do: tilts of 10° counted as certain
+    to 2°, and passed for a lasting acceleration of the body that made gravity count for nothing."""
+    case = ring_moving_case(seed)
+    variant = Variant(has_device=False, has_field=False)
+    tilts = np.degrees(tilt_errors(case, live("joint", case, variant).q_wb))
+    assert np.mean(tilts[case.times_s - case.times_s[0] > 10.0]) < 1.0
+
+
+def test_a_tilt_that_is_wrong_is_no_acceleration_of_the_body() -> None:
+    """No acceleration lasts: 10° of tilt are 1.7 m/s² for good, and count for less and less."""
+    segment = initial_state(1, 0).segments[0]
+    world = chain_body(fast_arm(), uses_field=False).world
+    segment.averages.long_seconds = 10.0
+    segment.averages.long_force[...] = 1.7, 0.0, 9.81
+    segment.averages.lasting_force[...] = segment.averages.long_force
+    for _ in range(1000):
+        note_acceleration(segment, world, tuning(), 0.01)
+    assert segment.unaided_square < 1e-6
+
+
+def test_a_tilt_that_gravity_contradicts_for_long_becomes_less_certain_for_all_alike() -> None:
+    """What joints have shown of one segment against another stays as sure as it was."""
+    body, used, dt = chain_body(fast_arm(), uses_field=False), tuning(), 0.01
+    n = len(body.segments)
+    state, work = initial_state(n, 1), work_space(n)
+    work.segments["validity"], work.segments["chain"] = Validity.FORCE, 0
+    state.segments["P"] = np.diag([1e-4] * 6)
+    state.segments["averages"]["long_seconds"] = 10.0
+    for name in ("long_force", "lasting_force"):
+        state.segments["averages"][name] = 1.7, 0.0, 9.81
+    before = state.segments.copy()
+    unaided_rows(body, state, used, work, dt)
+    seen = 0.5 * 1.7**2 / 9.81**2 - 1e-4
+    grown = np.zeros((n, 6, 6))
+    grown[:, :2, :2] = seen * (1.0 - np.exp(-dt / used.unaided_window_s)) * np.eye(2)
+    np.testing.assert_allclose(state.segments["P"], before["P"] + grown, rtol=1e-6)
+    np.testing.assert_allclose(state.segments["C"][1:], grown[1:], rtol=1e-6)
+
+
+def test_a_start_is_judged_by_its_first_second_and_not_by_one_sample() -> None:
+    state, work, used = initial_state(1, 0), work_space(1), tuning()
+    segment, now = state.segments[0], work.segments[0]
+    world = chain_body(fast_arm(), uses_field=False).world
+    now.validity, now.angular_rate[...] = Validity.FORCE, 0.0
+    found = []
+    for k in range(300):
+        now.specific_force[...] = 0.0, 0.0, 9.81 + (3.0 if k % 2 else 0.0)
+        note_start(segment, now, world, used, 0.01)
+        found.append(segment.starting_square / used.starting_share)
+    assert found[0] < 1e-6
+    assert found[99] == pytest.approx(0.5 * 3.0**2, rel=0.03)
+    assert found[299] == pytest.approx(found[99] * np.exp(-2.0 / used.starting_memory_s), rel=0.02)

@@ -236,6 +236,7 @@ def turn_segments(body: Body, state: State, work: Work) -> None:
             rotation_matrix.turn(E, averages.force)
             rotation_matrix.turn(E, averages.last_force)
             rotation_matrix.turn(E, averages.long_force)
+            rotation_matrix.turn(E, averages.lasting_force)
     for d in range(len(body.devices)):
         mount, device = body.devices[d], state.devices[d]
         now = works[mount.segment]

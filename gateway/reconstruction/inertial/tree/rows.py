@@ -34,6 +34,7 @@ from gateway.reconstruction.inertial.tree.start import (
     is_contradicted,
     second_order_variance,
     shown_between,
+    start_acceleration,
     take_back_heading,
     tilt_spread,
     turn_beyond,
@@ -477,12 +478,14 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
     The segments of an unaided chain share the information of one row, which averages the errors of their
     accelerometers. A segment of an aided chain has a weak row of its own until its tilt is settled.
     """
-    decay = math.exp(-dt / tuning.starting_memory_s)
     segments, works = state.segments, work.segments
     for s in range(len(works)):
-        segment = segments[s]
-        works[s].sharing = 0
-        segment.starting_square = max(segment.starting_square * decay, LEAST_SQUARE)
+        segment, now = segments[s], works[s]
+        now.sharing, now.lasting_tilt, now.steadiest_square = 0, 0.0, math.inf
+        note_start(segment, now, body.world, tuning, dt)
+        if now.validity == FORCE:
+            note_acceleration(segment, body.world, tuning, dt)
+    _inflate_common_tilt(body, state, tuning, work, dt)
     for s in range(len(works)):
         if works[s].validity == FORCE:
             works[works[s].chain].sharing += 1
@@ -491,7 +494,6 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
         first = works[now.chain]
         if now.validity < FORCE:
             continue
-        note_acceleration(segment, body.world, tuning, dt)
         if now.bridged_s > tuning.longest_bridge_s and segment.averages.long_seconds <= FIRST_SAMPLE_S:
             # (71) v = A_f²: one look at gravity, as good as single samples have been lately
             felt = segment.averages.long_force
@@ -503,20 +505,75 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
 
 
 @compiled
+def _shows_acceleration(segment: Segment, tuning: Tuning) -> bool:
+    """Return whether what a segment feels beside gravity is acceleration: its tilt is known well enough."""
+    is_known = segment.P[0, 0] + segment.P[1, 1] <= tuning.aided_tilt**2
+    return bool(is_known and segment.averages.long_seconds >= tuning.unaided_window_s)
+
+
+@compiled
+def _inflate_common_tilt(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Make the tilt that an unaided chain has in common as uncertain as its lasting acceleration says, (40a).
+
+    What its steadiest segment feels beside gravity for longer than it accelerates is a tilt. Joints do not
+    show it: it is the same for all segments, so what is known of one against another stays as it is.
+    """
+    segments, works, gravity = state.segments, work.segments, norm(body.world.gravity)
+    for s in range(len(works)):
+        segment, now = segments[s], works[s]
+        first, square = works[now.chain], tuning.acceleration_share * segment.unaided_square
+        if now.validity == FORCE and _shows_acceleration(segment, tuning) and square < first.steadiest_square:
+            lasting = 0.5 * _horizontal_square(segment.averages.lasting_force) - square
+            known = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
+            first.steadiest_square = square
+            first.lasting_tilt = max(lasting / gravity**2 - known, 0.0)
+    gain = 1.0 - math.exp(-dt / tuning.unaided_window_s)
+    for s in range(len(works)):
+        segment, now, p = segments[s], works[s], body.segments[s].parent
+        first = works[now.chain]
+        if first.aided:
+            continue
+        for i in range(2):
+            segment.P[i, i] += gain * first.lasting_tilt
+            if body.world.is_tree and p >= 0 and works[p].chain == now.chain:
+                segment.C[i, i] += gain * first.lasting_tilt
+
+
+@compiled
+def note_start(segment: Segment, now: SegmentWork, world: World, tuning: Tuning, dt: float) -> None:
+    """Update A_0² of (65), (m/s²)²: the mean over the first window, which fades afterwards.
+
+    The first sample of a body in motion may be one that feels gravity alone; not all of a second are.
+    """
+    segment.since_start_s += dt
+    if now.validity == FORCE and segment.since_start_s < tuning.unaided_window_s:
+        moved = start_acceleration(world.gravity, now.specific_force, now.angular_rate, tuning)
+        fresh = tuning.starting_share * moved - segment.starting_square
+        segment.starting_square += dt / segment.since_start_s * fresh
+    else:
+        segment.starting_square *= math.exp(-dt / tuning.starting_memory_s)
+    segment.starting_square = max(segment.starting_square, LEAST_SQUARE)
+
+
+@compiled
 def note_acceleration(segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
     """Update A_1² of (40) and A_f² of (71), (m/s²)², mean squares of acceleration, aided or not.
 
-    It counts only while the tilt is known: a wrong tilt would look like an acceleration.
+    It counts only while the tilt is known. A tilt that is wrong all the same looks like an acceleration that
+    lasts, and no body's acceleration does: what counts is what differs from a mean over several windows.
     """
-    tilt = segment.P[0, 0] + segment.P[1, 1]
-    if segment.averages.long_seconds < tuning.unaided_window_s or tilt > tuning.aided_tilt**2:
+    averages = segment.averages
+    if not _shows_acceleration(segment, tuning):
+        for i in range(3):
+            averages.lasting_force[i] = averages.long_force[i]
         return
     square, felt = 0.0, 0.0
-    for i in range(3):
-        square += (segment.averages.long_force[i] - world.at_rest[i]) ** 2 / 3.0
-        felt += (segment.averages.last_force[i] - world.at_rest[i]) ** 2 / 3.0
-    # (40)
     gain = 1.0 - math.exp(-dt / tuning.acceleration_memory_s)
+    for i in range(3):
+        averages.lasting_force[i] += gain * (averages.long_force[i] - averages.lasting_force[i])
+        square += (averages.long_force[i] - averages.lasting_force[i]) ** 2 / 3.0
+        felt += (averages.last_force[i] - world.at_rest[i]) ** 2 / 3.0
+    # (40)
     segment.unaided_square += gain * (square - segment.unaided_square)
     segment.felt_square += gain * (felt - segment.felt_square)
 
@@ -554,11 +611,12 @@ def starting_row(now: SegmentWork, segment: Segment, world: World, tuning: Tunin
 def _mean_square(segment: Segment, tuning: Tuning, dt: float) -> float:
     """Return A² of (39) without A_1, (m/s²)².
 
-    Over a time shorter than the window, as after a gap, it is as much larger as speeds are the same; after a
-    start in motion it is for some time as large as the first sample lets expect.
+    Over a time shorter than the window, as after a gap, it is as much larger as speeds are the same; that of
+    a start in motion is at most that of its samples.
     """
     lasted_s = max(segment.averages.long_seconds, dt)
     square = max(tuning.least_acceleration**2, segment.starting_square)
     if lasted_s < tuning.unaided_window_s:
-        square = max(square, (tuning.unaided_speed / lasted_s) ** 2)
+        more = min((tuning.unaided_window_s / lasted_s) ** 2, 1.0 / tuning.starting_share)
+        square = max(square, (tuning.unaided_speed / lasted_s) ** 2, segment.starting_square * more)
     return square

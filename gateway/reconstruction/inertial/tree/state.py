@@ -108,6 +108,7 @@ class Averages(Record):
     lever_arm_matrix: Matrix  # of R [ω]×, rad/s
     seconds: float  # since these were begun
     long_force: Vector  # of R f, over the unaided window
+    lasting_force: Vector  # of that, over several windows
     long_seconds: float  # since that was begun
     long_waits_s: float  # since the last specific force of it
 
@@ -252,7 +253,8 @@ class Segment(Record):
     aids_s: float  # for how much longer a foot that has stood aids its chain
     unaided_square: float  # mean square acceleration over the unaided window, as seen lately, (m/s²)²
     felt_square: float  # the same of single samples
-    starting_square: float  # the same as a start in motion lets expect, less and less with time
+    starting_square: float  # the same as samples of the first window let expect, less and less after it
+    since_start_s: float
     vibration: Vibration
     corrections: Corrections
 
@@ -346,6 +348,8 @@ class SegmentWork(Record):
     rolling: float  # rad/s²; see ``rows.note_rolling``
     aided: int  # 1: a device or the ground shows what it accelerates by
     chain: int  # first segment of the chain that it belongs to
+    lasting_tilt: float  # of a first segment: what its chain's common tilt is less certain by, rad²
+    steadiest_square: float  # mean square acceleration of the segment that shows that, (m/s²)²
     sharing: int  # of a first segment: how many of its chain have a sample
     is_before: int  # 1: turns back, since that segment is known better
     is_beyond: int  # 1: turns with the segment whose heading was shown

@@ -176,6 +176,12 @@ class Tuning(Record):
     lost_heading: float = constant(
         1.0, "rad", "a heading less certain than that is unobserved again", "where linearised rows fail"
     )
+    lone_share: float = constant(
+        0.9,
+        "",
+        "share of a turn from which a side has turned alone: how others head is not found anew",
+        "a module that comes back against the many that have stayed",
+    )
 
     # the magnetic field
     heading_memory_s: float = constant(
