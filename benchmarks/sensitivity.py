@@ -101,6 +101,14 @@ def _without_unaided() -> None:
     rows.unaided_row = unaided_row
 
 
+def _without_lasting_tilts() -> None:
+    @compiled
+    def inflate_common_tilt(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+        return
+
+    rows._inflate_common_tilt = inflate_common_tilt
+
+
 def _without_stance() -> None:
     @compiled
     def stance_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
@@ -134,7 +142,8 @@ RULES = {
         "mean accelerations are seen", "(40)", {"acceleration_share": 0.0, "least_acceleration": 0.3}
     ),
     "taken_back": Rule("headings are taken back", "section 12", {"heading_contradiction": ENDLESS}),
-    "starting": Rule("a start in motion is told by its first sample", "(65)", {"starting_share": 0.0}),
+    "lasting": Rule("what lasts is a tilt", "(40a)", patch=_without_lasting_tilts),
+    "starting": Rule("a start in motion is told by its first second", "(65)", {"starting_share": 1e-12}),
     "zero_rate": Rule("zero rate", "(36)", {"zero_rate_s": ENDLESS}),
     "stance": Rule("zero acceleration", "(37), (38)", patch=_without_stance),
     "open_headings": Rule("unobserved headings in closed form", "(54) to (57)", patch=_without_open_headings),
