@@ -143,7 +143,7 @@ RULES = {
     ),
     "taken_back": Rule("headings are taken back", "section 12", {"heading_contradiction": ENDLESS}),
     "lasting": Rule("what lasts is a tilt", "(40a)", patch=_without_lasting_tilts),
-    "starting": Rule("a start in motion is told by its first second", "(65)", {"starting_share": 1e-12}),
+    "starting": Rule("a start in motion is told by its first second", "(65)", {"starting_share": 0.0}),
     "zero_rate": Rule("zero rate", "(36)", {"zero_rate_s": ENDLESS}),
     "stance": Rule("zero acceleration", "(37), (38)", patch=_without_stance),
     "open_headings": Rule("unobserved headings in closed form", "(54) to (57)", patch=_without_open_headings),

@@ -435,17 +435,11 @@ class Checked:
             segment, window_s = state.segments[s], tuning.unaided_window_s
             lasted_s = max(segment.averages.long_seconds, dt)
             starting = was[s].starting_square * np.exp(-dt / tuning.starting_memory_s)
-            begun_s = was[s].since_start_s + dt
-            if begun_s < window_s:
-                self.compared["starting_square"] += 1
-                moved = tuning.starting_share * start_square(body, now, tuning)
-                starting = was[s].starting_square + dt / begun_s * (moved - was[s].starting_square)  # (65)
             starting = max(starting, rows.LEAST_SQUARE)
             assert segment.starting_square == pytest.approx(starting)
             square = max(tuning.least_acceleration**2, starting)
             if lasted_s < window_s:
-                grown = min((window_s / lasted_s) ** 2, 1.0 / tuning.starting_share) * starting
-                square = max(square, (tuning.unaided_speed / lasted_s) ** 2, grown)
+                square = max(square, (tuning.unaided_speed / lasted_s) ** 2)
             u, at_rest, tilt = (
                 segment.averages.long_force,
                 body.world.at_rest,
@@ -527,9 +521,9 @@ class Checked:
             tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
             r = before.misread * tilt / (tilt + now.density * dt)
             b = tilt * (1.0 / share - 1.0)  # variance of what the tilt misreads
-            steep = (np.arctan2(m[2], np.hypot(*m[:2])) - np.arctan2(h[2], np.hypot(*h[:2]))) ** 2
+            steep = np.arctan2(m[2], np.hypot(*m[:2])) - np.arctan2(h[2], np.hypot(*h[:2]))
             strong = (np.linalg.norm(m) / np.linalg.norm(h) - 1.0) / tuning.norm_tolerance
-            disturbed = 1.0 + steep / (tuning.dip_tolerance**2 + tilt) + strong**2
+            disturbed = 1.0 + (steep / tuning.dip_tolerance) ** 2 + strong**2
             assert now.disturbance == pytest.approx(disturbed)
             if before.seconds == 0.0:
                 first = (before.scatter + b) * disturbed
@@ -595,6 +589,7 @@ class Checked:
             P = np.diag([tilt, tilt, tuning.unknown_heading**2] + [tuning.bias**2] * 3)  # (63)
             assert_close(segment.P, P)
             assert not segment.C.any()
+            assert segment.starting_square == pytest.approx(tuning.starting_share * moved)  # (65)
 
     def fixed_row(self, body, state, tuning, work, d, dt):
         mount, device = body.devices[d], state.devices[d].copy()
@@ -763,7 +758,6 @@ LEAST = {
     "fixed_point": 150, "pair": 60, "device": 3, "open_device": 50, "stance": 250, "zero_rate_watch": 4000,
     "zero_rate": 1000, "unaided": 40, "seen": 500, "starting": 40, "sun": 60, "corrections": 20,
     "compass": 4000, "compass_turn": 4000, "clipped": 300, "made_up": 6, "after_gap": 3,
-    "starting_square": 1000,
 }  # fmt: skip
 """How often each has to be compared over the chains: a reference that is hardly asked guards nothing."""
 UPDATES = {JointReconstructor: ("update", 8000), OutwardReconstructor: ("outward", 2500)}

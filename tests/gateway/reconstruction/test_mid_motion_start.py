@@ -17,7 +17,7 @@ from gateway.reconstruction.inertial.tree.reconstructor import (
     JointReconstructor,
     OutwardReconstructor,
 )
-from gateway.reconstruction.inertial.tree.rows import note_acceleration, note_start, unaided_rows
+from gateway.reconstruction.inertial.tree.rows import note_acceleration, unaided_rows
 from gateway.reconstruction.inertial.tree.state import Validity, chain_body, initial_state, work_space
 from gateway.reconstruction.inertial.tree.tuning import tuning
 from gateway.reconstruction.reconstructor import update_many
@@ -106,18 +106,3 @@ def test_a_tilt_that_gravity_contradicts_for_long_becomes_less_certain_for_all_a
     grown[:, :2, :2] = seen * (1.0 - np.exp(-dt / used.unaided_window_s)) * np.eye(2)
     np.testing.assert_allclose(state.segments["P"], before["P"] + grown, rtol=1e-6)
     np.testing.assert_allclose(state.segments["C"][1:], grown[1:], rtol=1e-6)
-
-
-def test_a_start_is_judged_by_its_first_second_and_not_by_one_sample() -> None:
-    state, work, used = initial_state(1, 0), work_space(1), tuning()
-    segment, now = state.segments[0], work.segments[0]
-    world = chain_body(fast_arm(), uses_field=False).world
-    now.validity, now.angular_rate[...] = Validity.FORCE, 0.0
-    found = []
-    for k in range(300):
-        now.specific_force[...] = 0.0, 0.0, 9.81 + (3.0 if k % 2 else 0.0)
-        note_start(segment, now, world, used, 0.01)
-        found.append(segment.starting_square / used.starting_share)
-    assert found[0] < 1e-6
-    assert found[99] == pytest.approx(0.5 * 3.0**2, rel=0.03)
-    assert found[299] == pytest.approx(found[99] * np.exp(-2.0 / used.starting_memory_s), rel=0.02)

@@ -78,7 +78,7 @@ def test_turning_a_state_back_twice_keeps_what_it_knows():
     state, rng = initial_state(3, 1), np.random.default_rng(1)
     for records, name in known_of(state):
         records[name] = rng.normal(size=records[name].shape)
-    again = turned_back(turned_back(state, tuning()), tuning())
+    again = turned_back(turned_back(state, tuning(), GRAVITY), tuning(), GRAVITY)
     for (records, name), (records_again, _) in zip(known_of(state), known_of(again), strict=True):
         np.testing.assert_array_equal(records_again[name], records[name])
 
@@ -96,13 +96,24 @@ def test_the_last_frame_is_not_taken_twice():
     state.clock.last_ns, state.clock.first_ns = 7_000_000_000, 1_000_000_000
     rest = state.segments["zero_rate"]
     rest["rate"], rest["force"], rest["still_s"] = [0.0, 1.0, 2.0], [3.0, 4.0, 5.0], 8.0
-    back = turned_back(state, tuning())
+    back = turned_back(state, tuning(), GRAVITY)
     (last, _), _ = seen_backward([frame(10), frame(20)], 20, [])
     assert last.time_ns == 0 == back.clock.last_ns
     kept = back.segments[0].zero_rate
     np.testing.assert_array_equal(kept.rate, [-0.0, -1.0, -2.0])
     np.testing.assert_array_equal(kept.force, [3.0, 4.0, 5.0])
     assert kept.still_s == 8.0
+
+
+def test_the_way_back_knows_that_it_begins_in_motion():
+    state = initial_state(2, 0)
+    still, moving = state.segments[0], state.segments[1]
+    still.averages.last_force[:] = 0.0, 0.0, 9.81
+    moving.averages.last_force[:] = 6.0, 0.0, 12.0
+    moving.rate[:] = 0.0, 5.0, 0.0
+    back = turned_back(state, tuning(), GRAVITY)
+    assert back.segments[0].starting_square == 0.0
+    assert back.segments[1].starting_square > 1.0
 
 
 def test_a_method_that_cannot_go_backward_says_so(tmp_path):

@@ -105,15 +105,13 @@ def watch_field(
     _watch_changes(mean, length, dip, expected, tuning, dt)
     stronger = (1.0 + mean.norm_change) * mean.norm / expected.norm - 1.0
     steeper = mean.dip_change + mean.dip - expected.dip
-    # a wrong tilt makes of the dip what it is uncertain by
-    by_tilt, w, proof = tilt_square(segment), segment.rate, expected.change_gain
-    wrong = stronger * stronger + max(steeper * steeper - by_tilt, 0.0)
+    wrong, w, proof = stronger * stronger + steeper * steeper, segment.rate, expected.change_gain
     if not wrong > mean.error_square:
         proof = math.sqrt(dot(w, w)) * dt / tuning.field_proof
     mean.error_square += min(proof, 1.0) * (wrong - mean.error_square)
-    steeper = (dip - expected.dip) ** 2 / (tuning.dip_tolerance**2 + by_tilt)
+    steeper = (dip - expected.dip) / tuning.dip_tolerance
     stronger = (length / expected.norm - 1.0) / tuning.norm_tolerance
-    now.disturbance = 1.0 + steeper + stronger * stronger
+    now.disturbance = 1.0 + steeper * steeper + stronger * stronger
 
 
 @compiled

@@ -34,7 +34,6 @@ from gateway.reconstruction.inertial.tree.start import (
     is_contradicted,
     second_order_variance,
     shown_between,
-    start_acceleration,
     take_back_heading,
     tilt_spread,
     turn_beyond,
@@ -478,11 +477,12 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
     The segments of an unaided chain share the information of one row, which averages the errors of their
     accelerometers. A segment of an aided chain has a weak row of its own until its tilt is settled.
     """
+    decay = math.exp(-dt / tuning.starting_memory_s)
     segments, works = state.segments, work.segments
     for s in range(len(works)):
         segment, now = segments[s], works[s]
         now.sharing, now.lasting_tilt, now.steadiest_square = 0, 0.0, math.inf
-        note_start(segment, now, body.world, tuning, dt)
+        segment.starting_square = max(segment.starting_square * decay, LEAST_SQUARE)
         if now.validity == FORCE:
             note_acceleration(segment, body.world, tuning, dt)
     _inflate_common_tilt(body, state, tuning, work, dt)
@@ -537,22 +537,6 @@ def _inflate_common_tilt(body: Body, state: State, tuning: Tuning, work: Work, d
             segment.P[i, i] += gain * first.lasting_tilt
             if body.world.is_tree and p >= 0 and works[p].chain == now.chain:
                 segment.C[i, i] += gain * first.lasting_tilt
-
-
-@compiled
-def note_start(segment: Segment, now: SegmentWork, world: World, tuning: Tuning, dt: float) -> None:
-    """Update A_0² of (65), (m/s²)²: the mean over the first window, which fades afterwards.
-
-    The first sample of a body in motion may be one that feels gravity alone; not all of a second are.
-    """
-    segment.since_start_s += dt
-    if now.validity == FORCE and segment.since_start_s < tuning.unaided_window_s:
-        moved = start_acceleration(world.gravity, now.specific_force, now.angular_rate, tuning)
-        fresh = tuning.starting_share * moved - segment.starting_square
-        segment.starting_square += dt / segment.since_start_s * fresh
-    else:
-        segment.starting_square *= math.exp(-dt / tuning.starting_memory_s)
-    segment.starting_square = max(segment.starting_square, LEAST_SQUARE)
 
 
 @compiled
@@ -611,12 +595,11 @@ def starting_row(now: SegmentWork, segment: Segment, world: World, tuning: Tunin
 def _mean_square(segment: Segment, tuning: Tuning, dt: float) -> float:
     """Return A² of (39) without A_1, (m/s²)².
 
-    Over a time shorter than the window, as after a gap, it is as much larger as speeds are the same; that of
-    a start in motion is at most that of its samples.
+    Over a time shorter than the window, as after a gap, it is as much larger as speeds are the same; after a
+    start in motion it is for some time as large as the first sample lets expect.
     """
     lasted_s = max(segment.averages.long_seconds, dt)
     square = max(tuning.least_acceleration**2, segment.starting_square)
     if lasted_s < tuning.unaided_window_s:
-        more = min((tuning.unaided_window_s / lasted_s) ** 2, 1.0 / tuning.starting_share)
-        square = max(square, (tuning.unaided_speed / lasted_s) ** 2, segment.starting_square * more)
+        square = max(square, (tuning.unaided_speed / lasted_s) ** 2)
     return square

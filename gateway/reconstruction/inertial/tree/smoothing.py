@@ -19,6 +19,7 @@ from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
+from gateway.reconstruction.inertial.tree.start import start_acceleration
 from gateway.reconstruction.inertial.tree.state import State, initial_state
 from gateway.reconstruction.inertial.tree.tuning import Tuning
 from gateway.reconstruction.inertial.tree.update import inverse_3_into
@@ -33,8 +34,8 @@ KEPT_OF_ARMS, KEPT_OF_DEVICES = ("error", "covariance"), ("shift", "covariance",
 """Of the state, what is the same seen backward."""
 
 
-def turned_back(state: State, tuning: Tuning) -> State:
-    """Return the state with which the filter runs backward from where ``state`` is.
+def turned_back(state: State, tuning: Tuning, gravity: FloatArray) -> State:
+    """Return the state with which the filter runs backward from where ``state`` is. gravity: (3,) m/s².
 
     Orientations, biases, lever arms and shown headings are kept; the rows' averages begin anew. The clock
     stands at 0, where the last frame lies: that frame has been used, and a turn by its rate once more would
@@ -66,6 +67,9 @@ def turned_back(state: State, tuning: Tuning) -> State:
     back["compass"]["covariance"][...] *= -1.0
     back["compass"]["variance"][...] += tuning.start_heading**2
     back["compass"]["settled_s"][...] = 0.0
+    for s in range(len(back)):
+        force, rate = before[s].averages.last_force, before[s].rate
+        back[s].starting_square = tuning.starting_share * start_acceleration(gravity, force, rate, tuning)
     return turned
 
 

@@ -60,7 +60,7 @@ def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None
 
 @compiled
 def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning: Tuning) -> None:
-    """Start a segment from its first sample, equations (62) to (64).
+    """Start a segment from its first sample, equations (62) to (65).
 
     It is level by the specific force and faces as the field says. Without a usable field the heading is
     arbitrary. If the two directions define no orientation the segment does not start.
@@ -81,13 +81,15 @@ def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning:
     rotation_matrix.copy_into(segment.R, R)
     # (64) a_0²
     moved = start_acceleration(world.gravity, f, w, tuning)
+    # (65) A_0² = 0.1 a_0²
+    segment.starting_square = tuning.starting_share * moved
     # (63) σ_t0² + a_0² / ‖g‖²
     tilt = tuning.start_tilt**2 + moved / dot(world.gravity, world.gravity)
     _start_covariance(segment, min(tilt, tuning.unknown_heading**2), tuning)
     segment.started = STARTED
     segment.heading = UNOBSERVED if link.heading_observable else OBSERVED
     segment.silent_s, segment.averages.seconds, segment.averages.long_seconds = 0.0, 0.0, 0.0
-    segment.joint_nis, segment.since_start_s = 1.0, 0.0
+    segment.joint_nis = 1.0
     segment.unaided_square = (tuning.unaided_speed / tuning.unaided_window_s) ** 2
     segment.felt_square = tuning.start_tilt**2 * dot(world.gravity, world.gravity)
     _start_watches(segment)
@@ -142,7 +144,7 @@ def _start_watches(segment: Segment) -> None:
 
 @compiled
 def start_acceleration(gravity: FloatArray, f: FloatArray, w: FloatArray, tuning: Tuning) -> float:
-    """Return a_0² of (64), (m/s²)²: square of the acceleration that a module may have at a sample.
+    """Return a_0² of (64), (m/s²)²: square of the acceleration that a module may have at its first sample.
 
     It is by how much the module feels more or less than gravity, and by how it turns at the end of
     ``start_arm``. f: specific force, m/s², w: angular rate, rad/s; (3,).

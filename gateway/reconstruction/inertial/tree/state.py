@@ -253,8 +253,7 @@ class Segment(Record):
     aids_s: float  # for how much longer a foot that has stood aids its chain
     unaided_square: float  # mean square acceleration over the unaided window, as seen lately, (m/s²)²
     felt_square: float  # the same of single samples
-    starting_square: float  # the same as samples of the first window let expect, less and less after it
-    since_start_s: float
+    starting_square: float  # the same as a start in motion lets expect, less and less with time
     vibration: Vibration
     corrections: Corrections
 
