@@ -547,7 +547,9 @@ class Checked:
             P = A @ P @ A.T + v * np.outer(K, K)
             assert compass.misread * b == pytest.approx(P[0, 2])
             assert compass.tilt_square == pytest.approx(compass.misread**2 * b)
-            assert compass.variance + compass.tilt_square == pytest.approx(P[0, 0])
+            least = compass.scatter * tuning.heading_memory_s / (tuning.heading_memory_s + compass.seconds)
+            of_angle = max(P[0, 0] - compass.tilt_square, least)  # (31a)
+            assert compass.variance == pytest.approx(of_angle)
             assert compass.rate_variance == pytest.approx(P[1, 1])
 
     def turn_segments(self, body, state, work):

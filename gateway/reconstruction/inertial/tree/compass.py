@@ -193,8 +193,10 @@ def turn_compass(segment: Segment, now: SegmentWork) -> None:
 def _look(compass: Compass, now: SegmentWork, bent: float, tuning: Tuning, dt: float) -> None:
     """Update a compass by one measurement of the field, equation (31).
 
-    How measurements scatter about what is expected decides how much one is worth. bent: rad², what an
-    uncertain tilt adds in a field that dips; it counts as far as it is not in the compass already.
+    How measurements scatter about what is expected decides how much one is worth, earlier ones too: a place
+    that seemed quiet while the module rested in it does not outweigh all that is seen after it was left.
+    bent: rad², what an uncertain tilt adds in a field that dips; it counts as far as it is not in the compass
+    already.
     """
     if compass.seconds == 0.0:  # what stays off to the same side is as little off at the first look
         compass.angle, compass.covariance, compass.seconds = now.field_off, 0.0, dt
@@ -219,7 +221,9 @@ def _look(compass: Compass, now: SegmentWork, bent: float, tuning: Tuning, dt: f
     compass.rate_variance -= rate_gain * compass.covariance
     kept = (1.0 - gain) * (compass.covariance - rate_gain * compass.variance)
     compass.covariance = kept + gain * rate_gain * noise
-    compass.variance = (1.0 - gain) ** 2 * compass.variance + gain**2 * noise
+    shown = (1.0 - gain) ** 2 * compass.variance + gain**2 * noise
+    memory = tuning.heading_memory_s
+    compass.variance = max(shown, compass.scatter * memory / (memory + compass.seconds))
 
 
 @compiled
