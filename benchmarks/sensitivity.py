@@ -43,7 +43,7 @@ from benchmarks.never_worse.simulated import KINDS
 from benchmarks.never_worse.solving import OURS, live
 from gateway.geometry.compiled import compiled
 from gateway.geometry.kernel_fingerprint import fingerprint
-from gateway.reconstruction.inertial.tree import reconstructor, rows, step
+from gateway.reconstruction.inertial.tree import reconstructor, rows, step, unaided
 from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings
 from gateway.reconstruction.inertial.tree.state import (
     Body,
@@ -98,7 +98,7 @@ def _without_unaided() -> None:
     ) -> None:
         return
 
-    rows.unaided_row = unaided_row
+    unaided.unaided_row = unaided_row
 
 
 def _without_lasting_tilts() -> None:
@@ -106,7 +106,7 @@ def _without_lasting_tilts() -> None:
     def inflate_common_tilt(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
         return
 
-    rows._inflate_common_tilt = inflate_common_tilt
+    unaided.inflate_common_tilt = inflate_common_tilt
 
 
 def _without_stance() -> None:

@@ -38,6 +38,13 @@ def norm(a: FloatArray) -> float:
 
 
 @compiled
+def horizontal_square(a: FloatArray | tuple[float, float, float]) -> float:
+    """Return the square of the length of the first two components of a (3,) vector."""
+    square: float = a[0] * a[0] + a[1] * a[1]
+    return square
+
+
+@compiled
 def skew(a: FloatArray) -> FloatArray:
     """Return the (3, 3) matrix [a]× with [a]× b = a × b."""
     m = np.zeros((3, 3))

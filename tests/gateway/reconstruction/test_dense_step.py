@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from gateway.emulation.fast_arm import sampled
 from gateway.emulation.random_chains import drawn
 from gateway.frames import Clipped, Status, SunSight
-from gateway.reconstruction.inertial.tree import devices, rows
+from gateway.reconstruction.inertial.tree import devices, rows, unaided
 from gateway.reconstruction.inertial.tree import step as tree_step
 from gateway.reconstruction.inertial.tree.reconstructor import JointReconstructor, OutwardReconstructor
 from gateway.reconstruction.inertial.tree.state import Clip, Heading, Started, Validity
@@ -435,7 +435,7 @@ class Checked:
             segment, window_s = state.segments[s], tuning.unaided_window_s
             lasted_s = max(segment.averages.long_seconds, dt)
             starting = was[s].starting_square * np.exp(-dt / tuning.starting_memory_s)
-            starting = max(starting, rows.LEAST_SQUARE)
+            starting = max(starting, unaided.LEAST_SQUARE)
             assert segment.starting_square == pytest.approx(starting)
             square = max(tuning.least_acceleration**2, starting)
             if lasted_s < window_s:

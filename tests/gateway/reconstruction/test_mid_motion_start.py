@@ -15,9 +15,9 @@ from gateway.reconstruction.inertial.tree.reconstructor import (
     JointReconstructor,
     OutwardReconstructor,
 )
-from gateway.reconstruction.inertial.tree.rows import note_acceleration, unaided_rows
 from gateway.reconstruction.inertial.tree.state import Validity, chain_body, initial_state, work_space
 from gateway.reconstruction.inertial.tree.tuning import tuning
+from gateway.reconstruction.inertial.tree.unaided import note_acceleration, unaided_rows
 from gateway.reconstruction.reconstructor import update_many
 
 

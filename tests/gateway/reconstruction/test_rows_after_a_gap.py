@@ -7,9 +7,9 @@ from gateway.emulation.fast_arm import fast_arm
 from gateway.reconstruction.inertial.tree import devices as tree_devices
 from gateway.reconstruction.inertial.tree import rows as tree_rows
 from gateway.reconstruction.inertial.tree.prediction import average
-from gateway.reconstruction.inertial.tree.rows import unaided_row
 from gateway.reconstruction.inertial.tree.state import Validity, chain_body, initial_state, work_space
 from gateway.reconstruction.inertial.tree.tuning import tuning
+from gateway.reconstruction.inertial.tree.unaided import unaided_row
 
 DT, TUNING = 0.01, tuning()
 BODY = chain_body(fast_arm(), uses_field=False)

@@ -18,7 +18,7 @@ from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records
 from gateway.geometry.vectors import dot, is_finite
-from gateway.reconstruction.inertial.tree.start import give_of
+from gateway.reconstruction.inertial.tree.start import give_of, tilt_square
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Compass,
@@ -164,12 +164,6 @@ def _drift(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> Non
         compass.covariance *= math.sqrt(largest / compass.rate_variance)
         compass.rate_variance = largest
     compass.variance = min(compass.variance, tuning.unknown_heading**2)
-
-
-@compiled
-def tilt_square(segment: Segment) -> float:
-    """Return the variance of a component of a segment's tilt, rad²."""
-    return float(0.5 * (segment.P[0, 0] + segment.P[1, 1]))
 
 
 @compiled

@@ -10,7 +10,7 @@ import numpy as np
 from gateway.frames import FloatArray, ImuFrame, IntArray, SunSight
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.inertial.tree.start import turn_heading_sums
+from gateway.reconstruction.inertial.tree.start import tilt_square, turn_heading_sums
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Heading,
@@ -101,7 +101,7 @@ def _follow_sun(segment: Segment, now: SegmentWork, world: FloatArray, tuning: T
     """
     across, heading_variance = math.hypot(world[0], world[1]), segment.P[2, 2]
     off, height_off = _sun_error(segment.R, now.sun, world)
-    tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
+    tilt = tilt_square(segment)
     variance = (now.sun_sigma**2 + tilt * world[2] ** 2) / across**2
     variance *= 1.0 + (height_off / tuning.sun_height_tolerance) ** 2
     segment.sun.has_shown = 1

@@ -1,4 +1,4 @@
-"""The observations of the tree filter that need no device: joints, standing, rest, bounded speeds. Compiled.
+"""The observations of the tree filter at joints, and what all of its observations have in common. Compiled.
 
 A world vector ``u = R̂ s`` is truly ``exp(δ) R̂ s ≈ u − [u]× δ``. Two sides that must agree therefore give
 ``u − u_p = [m]× (δ − δ_p)`` with their mean ``m = (u + u_p) / 2``, and a known vector ``y``:
@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 from gateway.frames import FloatArray
-from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import dot, norm, skew
+from gateway.geometry.vectors import dot, horizontal_square, norm, skew
 from gateway.reconstruction.inertial.tree.lever_arms import (
     is_due,
     learn_joint_arms,
@@ -22,7 +21,6 @@ from gateway.reconstruction.inertial.tree.lever_arms import (
     spread,
 )
 from gateway.reconstruction.inertial.tree.prediction import (
-    FIRST_SAMPLE_S,
     felt_into,
     is_short_gap,
     row_inflation,
@@ -48,8 +46,6 @@ from gateway.reconstruction.inertial.tree.state import (
     State,
     Validity,
     Work,
-    World,
-    ZeroRateWatch,
 )
 from gateway.reconstruction.inertial.tree.tuning import Tuning
 from gateway.reconstruction.inertial.tree.update import Three, add_edge, add_joint, add_known, add_own
@@ -99,7 +95,7 @@ def unobserved_known_row(now: SegmentWork, u: FloatArray, y: FloatArray, varianc
     """
     residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
     H, H_y = skew(u), skew(y)
-    wide = variance + _horizontal_square(u) + _horizontal_square(y)
+    wide = variance + horizontal_square(u) + horizontal_square(y)
     for i in range(3):
         H[i, 2] = 0.0
         for j in range(2):
@@ -117,12 +113,6 @@ def _huber(uncertain: Three, residual: Three, variance: float, limit: float) -> 
     for i in range(3):
         square += residual[i] ** 2 / (uncertain[i] + variance)
     return max(1.0, math.sqrt(square) / limit)
-
-
-@compiled
-def _horizontal_square(v: FloatArray | Three) -> float:
-    square: float = v[0] * v[0] + v[1] * v[1]
-    return square
 
 
 @compiled
@@ -257,7 +247,7 @@ def _heading_variance(joint: Joint, tuning: Tuning, dt: float) -> float:
     """
     _, child, parent, now, _ = joint
     apart = child.P[2, 2] + parent.P[2, 2] - 2.0 * child.C[2, 2]
-    square = 0.5 * (_horizontal_square(now.u) + _horizontal_square(now.u_parent))
+    square = 0.5 * (horizontal_square(now.u) + horizontal_square(now.u_parent))
     return float(SECOND_ORDER * apart * apart * square * max(1.0, tuning.tilt_memory_s / dt))
 
 
@@ -318,7 +308,7 @@ def _unobserved_joint_row(now: SegmentWork, residual: Three, variance: float) ->
     """
     u, u_p = now.u, now.u_parent
     H, H_p = skew(u), skew(u_p)
-    wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
+    wide = variance + horizontal_square(u) + horizontal_square(u_p)
     for i in range(3):
         H[i, 2], H_p[i, 2] = 0.0, 0.0
         for j in range(2):
@@ -360,246 +350,3 @@ def _watch_joint(child: Segment, nis: float, tuning: Tuning, dt: float) -> float
         )
     inflation: float = max(1.0, child.joint_nis)
     return inflation
-
-
-# Zero rate
-
-
-@compiled
-def zero_rate_rows(state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Add zero-rate rows for all segments that have not turned for a while, section 9."""
-    gain = 1.0 - math.exp(-dt / tuning.zero_rate_window_s)
-    segments, works = state.segments, work.segments
-    for s in range(len(works)):
-        segment, now = segments[s], works[s]
-        if now.validity > NOTHING and watch_zero_rate(segment.zero_rate, now, tuning, gain, dt):
-            zero_rate_row(now, segment, tuning, dt)
-
-
-@compiled
-def watch_zero_rate(watch: ZeroRateWatch, now: SegmentWork, tuning: Tuning, gain: float, dt: float) -> bool:
-    """Return whether a segment has not turned for a while.
-
-    ``watch.rate`` then is the gyroscope's bias, rad/s. gain: of a low-pass of ``zero_rate_window_s`` over dt
-    (s).
-    """
-    rate_change, force_change = 0.0, 0.0
-    for i in range(3):
-        off_rate, off_force = now.angular_rate[i] - watch.rate[i], now.specific_force[i] - watch.force[i]
-        rate_change += off_rate * off_rate
-        force_change += off_force * off_force
-        watch.rate[i] += gain * off_rate
-        watch.force[i] += gain * off_force
-    watch.rate_square += gain * (rate_change - watch.rate_square)
-    watch.force_square += gain * (force_change - watch.force_square)
-    is_still = (
-        watch.rate_square < tuning.zero_rate_change**2
-        and watch.force_square < tuning.zero_rate_force_change**2
-    )
-    is_still = is_still and dot(watch.rate, watch.rate) < tuning.largest_bias**2
-    watch.still_s = watch.still_s + dt if is_still else 0.0
-    return bool(watch.still_s > tuning.zero_rate_s)
-
-
-@compiled
-def zero_rate_row(now: SegmentWork, segment: Segment, tuning: Tuning, dt: float) -> None:
-    """Add the row that the mean rate of a segment at rest is its gyroscope's bias, equation (36)."""
-    # (36) v
-    variance = tuning.zero_rate_sigma**2 * tuning.zero_rate_window_s / dt
-    for i in range(3):
-        now.evidence.own[3 + i, 3 + i] += 1.0 / variance
-        now.evidence.own_vector[3 + i] += (segment.zero_rate.rate[i] - segment.bias[i]) / variance
-
-
-# Zero acceleration: a segment that stands still is the rank-1 segment
-#
-# In a filter over the whole tree re-rooting needs no new order of the segments: the foot that stands adds one
-# row, ``R f = −g`` at its module, and aids its chain; the joint rows carry it on. In walking the feet
-# alternate, and the row comes and goes with its uncertainty, so nothing jumps.
-
-
-@compiled
-def note_rolling(state: State, work: Work, dt: float) -> None:
-    """Set ``rolling``, ‖ω̇‖ + ‖ω‖² of (38), rad/s², of segments that are taken to stand.
-
-    It is found from this rate and the last one. Called before the prediction, which overwrites the last rate.
-    A foot that begins to roll off shows here at once; its acceleration always points ahead, and would tilt
-    whoever walks straight on.
-    """
-    segments, works = state.segments, work.segments
-    for s in range(len(segments)):
-        segment, now = segments[s], works[s]
-        now.rolling = 0.0
-        if now.stood_s > 0.0:
-            change, square = 0.0, 0.0
-            for i in range(3):
-                change += (now.angular_rate[i] - segment.rate[i]) ** 2
-                square += (now.angular_rate[i] - segment.bias[i]) ** 2
-            now.rolling = math.sqrt(change) / dt + square
-
-
-@compiled
-def stance_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Add the rows (38) of segments that stand still, and mark them as aided.
-
-    A segment that is not made to stand on may also move slowly and evenly, which its module's short window
-    cannot distinguish from standing: its ``ZeroRateWatch`` must find it at rest as well.
-    """
-    links, segments, works = body.segments, state.segments, work.segments
-    for s in range(len(links)):
-        segment, now, stands = segments[s], works[s], links[s].stands
-        is_still = stands == 1 or segment.zero_rate.still_s > tuning.zero_rate_s
-        if now.stood_s > 0.0 and is_still and now.validity == FORCE:
-            u = rotation_matrix.rotate(segment.R, now.specific_force)
-            # (38) v
-            variance = tuning.stance_acceleration**2 + (tuning.stance_arm * now.rolling) ** 2
-            variance *= max(1.0, tuning.row_memory_s / dt)
-            # (14) u_s = R f, y = −g
-            known_row(now, segment, u, body.world.at_rest, variance, tuning)
-            now.aided = 1
-            segment.aids_s = tuning.stride_s
-        elif stands == 1 and segment.aids_s > 0.0:
-            segment.aids_s -= dt
-            now.aided = 1
-
-
-# Unaided: over a while the mean acceleration is small
-
-
-LEAST_SQUARE = 1e-9
-"""(m/s²)²: nothing, but no number so small that processors are slow with it."""
-
-
-@compiled
-def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Add the rows (39) that mean accelerations are small.
-
-    The segments of an unaided chain share the information of one row, which averages the errors of their
-    accelerometers. A segment of an aided chain has a weak row of its own until its tilt is settled.
-    """
-    decay = math.exp(-dt / tuning.starting_memory_s)
-    segments, works = state.segments, work.segments
-    for s in range(len(works)):
-        segment, now = segments[s], works[s]
-        now.sharing, now.lasting_tilt, now.steadiest_square = 0, 0.0, math.inf
-        segment.starting_square = max(segment.starting_square * decay, LEAST_SQUARE)
-        if now.validity == FORCE:
-            note_acceleration(segment, body.world, tuning, dt)
-    _inflate_common_tilt(body, state, tuning, work, dt)
-    for s in range(len(works)):
-        if works[s].validity == FORCE:
-            works[works[s].chain].sharing += 1
-    for s in range(len(works)):
-        segment, now = segments[s], works[s]
-        first = works[now.chain]
-        if now.validity < FORCE:
-            continue
-        if now.bridged_s > tuning.longest_bridge_s and segment.averages.long_seconds <= FIRST_SAMPLE_S:
-            # (71) v = A_f²: one look at gravity, as good as single samples have been lately
-            felt = segment.averages.long_force
-            known_row(now, segment, felt, body.world.at_rest, segment.felt_square, tuning)
-        if first.aided:
-            starting_row(now, segment, body.world, tuning, dt)
-        else:
-            unaided_row(now, segment, body.world, first.sharing, tuning, dt)
-
-
-@compiled
-def _shows_acceleration(segment: Segment, tuning: Tuning) -> bool:
-    """Return whether what a segment feels beside gravity is acceleration: its tilt is known well enough."""
-    is_known = segment.P[0, 0] + segment.P[1, 1] <= tuning.aided_tilt**2
-    return bool(is_known and segment.averages.long_seconds >= tuning.unaided_window_s)
-
-
-@compiled
-def _inflate_common_tilt(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Make the tilt that an unaided chain has in common as uncertain as its lasting acceleration says, (40a).
-
-    What its steadiest segment feels beside gravity for longer than it accelerates is a tilt. Joints do not
-    show it: it is the same for all segments, so what is known of one against another stays as it is.
-    """
-    segments, works, gravity = state.segments, work.segments, norm(body.world.gravity)
-    for s in range(len(works)):
-        segment, now = segments[s], works[s]
-        first, square = works[now.chain], tuning.acceleration_share * segment.unaided_square
-        if now.validity == FORCE and _shows_acceleration(segment, tuning) and square < first.steadiest_square:
-            lasting = 0.5 * _horizontal_square(segment.averages.lasting_force) - square
-            known = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
-            first.steadiest_square = square
-            first.lasting_tilt = max(lasting / gravity**2 - known, 0.0)
-    gain = 1.0 - math.exp(-dt / tuning.unaided_window_s)
-    for s in range(len(works)):
-        segment, now, p = segments[s], works[s], body.segments[s].parent
-        first = works[now.chain]
-        if first.aided:
-            continue
-        for i in range(2):
-            segment.P[i, i] += gain * first.lasting_tilt
-            if body.world.is_tree and p >= 0 and works[p].chain == now.chain:
-                segment.C[i, i] += gain * first.lasting_tilt
-
-
-@compiled
-def note_acceleration(segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
-    """Update A_1² of (40) and A_f² of (71), (m/s²)², mean squares of acceleration, aided or not.
-
-    It counts only while the tilt is known. A tilt that is wrong all the same looks like an acceleration that
-    lasts, and no body's acceleration does: what counts is what differs from a mean over several windows.
-    """
-    averages = segment.averages
-    if not _shows_acceleration(segment, tuning):
-        for i in range(3):
-            averages.lasting_force[i] = averages.long_force[i]
-        return
-    square, felt = 0.0, 0.0
-    gain = 1.0 - math.exp(-dt / tuning.acceleration_memory_s)
-    for i in range(3):
-        averages.lasting_force[i] += gain * (averages.long_force[i] - averages.lasting_force[i])
-        square += (averages.long_force[i] - averages.lasting_force[i]) ** 2 / 3.0
-        felt += (averages.last_force[i] - world.at_rest[i]) ** 2 / 3.0
-    # (40)
-    segment.unaided_square += gain * (square - segment.unaided_square)
-    segment.felt_square += gain * (felt - segment.felt_square)
-
-
-@compiled
-def unaided_row(
-    now: SegmentWork, segment: Segment, world: World, sharing: int, tuning: Tuning, dt: float
-) -> None:
-    """Add the row that the mean acceleration of an unaided segment is small, equation (39).
-
-    A² is at least a share of the mean square acceleration that was seen while the tilt was known and, over a
-    time shorter than the window, as much larger as speeds are the same. An error stays for the window.
-    sharing: number of segments that move together and have such a row each.
-    """
-    # (39) A²
-    square = max(_mean_square(segment, tuning, dt), tuning.acceleration_share * segment.unaided_square)
-    # (39) v = A² T_u / Δt n_c
-    variance = square * tuning.unaided_window_s / dt * sharing
-    known_row(now, segment, segment.averages.long_force, world.at_rest, variance, tuning)
-
-
-@compiled
-def starting_row(now: SegmentWork, segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
-    """Add the row (39) without A_1 to a segment of an aided chain, as long as its tilt is hardly known.
-
-    That is so after a start in mid-motion: joints show tilts only one after the other from where the chain is
-    aided.
-    """
-    if segment.P[0, 0] + segment.P[1, 1] > tuning.unsettled_tilt**2:
-        variance = _mean_square(segment, tuning, dt) * tuning.unaided_window_s / dt
-        known_row(now, segment, segment.averages.long_force, world.at_rest, variance, tuning)
-
-
-@compiled
-def _mean_square(segment: Segment, tuning: Tuning, dt: float) -> float:
-    """Return A² of (39) without A_1, (m/s²)².
-
-    Over a time shorter than the window, as after a gap, it is as much larger as speeds are the same; after a
-    start in motion it is for some time as large as the first sample lets expect.
-    """
-    lasted_s = max(segment.averages.long_seconds, dt)
-    square = max(tuning.least_acceleration**2, segment.starting_square)
-    if lasted_s < tuning.unaided_window_s:
-        square = max(square, (tuning.unaided_speed / lasted_s) ** 2)
-    return square

@@ -163,6 +163,12 @@ GRAVITY = 9.81
 
 
 @compiled
+def tilt_square(segment: Segment) -> float:
+    """Return the variance of a component of a segment's tilt, rad²."""
+    return float(0.5 * (segment.P[0, 0] + segment.P[1, 1]))
+
+
+@compiled
 def tilt_spread(segment: Segment, tuning: Tuning, interval_s: float) -> float:
     """Return the last term of (54)'s denominator, (m/s²)².
 
@@ -170,8 +176,7 @@ def tilt_spread(segment: Segment, tuning: Tuning, interval_s: float) -> float:
     ``tilt_memory_s``, so rows every ``interval_s`` do not average it out. At the start it is all there is:
     two segments at rest that are tilted alike would otherwise seem to show their headings.
     """
-    tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
-    variance: float = GRAVITY**2 * tilt * max(1.0, tuning.tilt_memory_s / interval_s)
+    variance: float = GRAVITY**2 * tilt_square(segment) * max(1.0, tuning.tilt_memory_s / interval_s)
     return variance
 
 
@@ -186,8 +191,8 @@ def second_order_variance(
     as uncertain as at a start in motion that is larger than the noise, and lasts as long as the tilts: taken
     for linear, a few rows would make wrong tilts certain.
     """
-    of_child = 0.5 * (child.P[0, 0] + child.P[1, 1])
-    of_parent = 0.5 * (parent.P[0, 0] + parent.P[1, 1])
+    of_child = tilt_square(child)
+    of_parent = tilt_square(parent)
     return float(4.0 * of_child * of_parent * dot(u, u) * max(1.0, tuning.tilt_memory_s / interval_s))
 
 

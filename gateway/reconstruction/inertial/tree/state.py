@@ -344,7 +344,7 @@ class SegmentWork(Record):
     motion: float  # ‖[ω̇, ω]‖, 1/s²
     turn: Vector  # world rotation that it is given, rad
     rotation: Matrix  # of that
-    rolling: float  # rad/s²; see ``rows.note_rolling``
+    rolling: float  # rad/s²; see ``unaided.note_rolling``
     aided: int  # 1: a device or the ground shows what it accelerates by
     chain: int  # first segment of the chain that it belongs to
     lasting_tilt: float  # of a first segment: what its chain's common tilt is less certain by, rad²

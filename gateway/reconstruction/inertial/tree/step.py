@@ -30,13 +30,7 @@ from gateway.reconstruction.inertial.tree.prediction import (
     predict,
     turn_segments,
 )
-from gateway.reconstruction.inertial.tree.rows import (
-    joint_rows,
-    note_rolling,
-    stance_rows,
-    unaided_rows,
-    zero_rate_rows,
-)
+from gateway.reconstruction.inertial.tree.rows import joint_rows
 from gateway.reconstruction.inertial.tree.start import lose_headings, start_segments
 from gateway.reconstruction.inertial.tree.state import (
     NEVER_NS,
@@ -56,6 +50,12 @@ from gateway.reconstruction.inertial.tree.state import (
 )
 from gateway.reconstruction.inertial.tree.stuck import leave_out_stuck_fields
 from gateway.reconstruction.inertial.tree.tuning import Tuning
+from gateway.reconstruction.inertial.tree.unaided import (
+    note_rolling,
+    stance_rows,
+    unaided_rows,
+    zero_rate_rows,
+)
 from gateway.reconstruction.inertial.tree.update import clear, update_outward, update_tree
 
 AIR_VELOCITY, FIXED_POINT = Quantity.AIR_VELOCITY.value, Quantity.FIXED_POINT.value
