@@ -117,6 +117,14 @@ def _without_stance() -> None:
     step.stance_rows = stance_rows  # type: ignore[attr-defined]
 
 
+def _without_defined_headings() -> None:
+    @compiled
+    def define_headings(body: Body, state: State, tuning: Tuning) -> None:
+        return
+
+    step.define_headings = define_headings  # type: ignore[attr-defined]
+
+
 def _without_open_headings() -> None:
     def body_of(*arguments: object) -> Body:
         body = chain_body(*arguments)  # type: ignore[arg-type]
@@ -146,6 +154,7 @@ RULES = {
     "starting": Rule("a start in motion is told by its first second", "(65)", {"starting_share": 0.0}),
     "zero_rate": Rule("zero rate", "(36)", {"zero_rate_s": ENDLESS}),
     "stance": Rule("zero acceleration", "(37), (38)", patch=_without_stance),
+    "defined": Rule("a body's own heading is defined", "(57a)", patch=_without_defined_headings),
     "open_headings": Rule("unobserved headings in closed form", "(54) to (57)", patch=_without_open_headings),
 }  # fmt: skip
 """By name."""

@@ -708,6 +708,23 @@ class Checked:
             assert after.gyroscope == pytest.approx(np.clip(was[s].gyroscope + change, 0.0, 1.0))  # (60)
             assert after.rows == pytest.approx(np.clip(was[s].rows - change, 0.0, 1.0))  # (61)
 
+    def define_headings(self, body, state, tuning):
+        was, parents = state.segments.copy(), body.segments["parent"]
+        kernels.define_headings(body, state, tuning)
+        if (state.segments["P"] == was["P"]).all():
+            return
+        self.compared["defined"] += 1
+        is_there = was["started"] == Started.YES
+        dense = dense_tree(parents, was["P"], was["C"])
+        headings = np.zeros(len(dense))
+        headings[2::6] = is_there
+        T = np.eye(len(dense)) - 0.99 * np.outer(headings, headings / is_there.sum())  # (57a)
+        after = T @ dense @ T.T
+        for s in np.flatnonzero(is_there):
+            assert_close(state.segments[s].P, blocks(after, s, s))
+            if parents[s] >= 0 and is_there[parents[s]]:
+                assert_close(state.segments[s].C, blocks(after, s, parents[s]))
+
     def update_tree(self, links, segments, work):
         n, parents, told = len(links), links["parent"], work.segments["evidence"].copy()
         dense = dense_tree(parents, segments["P"], segments["C"])
@@ -739,7 +756,8 @@ class Checked:
 CHECKED = {
     tree_step: (
         "predict", "average", "start_segments", "follow_sun", "stance_rows", "unaided_rows", "zero_rate_rows",
-        "update_tree", "update_outward", "note_corrections", "follow_field", "turn_segments",
+        "update_tree", "update_outward", "note_corrections", "define_headings", "follow_field",
+        "turn_segments",
     ),
     rows: ("joint_row", "learn_joint_arms", "gather_heading"),
     devices: ("_fixed_row", "_moving_row", "find_local_pair"),
@@ -762,7 +780,10 @@ LEAST = {
     "compass": 4000, "compass_turn": 4000, "clipped": 300, "made_up": 6, "after_gap": 3,
 }  # fmt: skip
 """How often each has to be compared over the chains: a reference that is hardly asked guards nothing."""
-UPDATES = {JointReconstructor: ("update", 8000), OutwardReconstructor: ("outward", 2500)}
+UPDATES = {
+    JointReconstructor: {"update": 8000, "defined": 4},
+    OutwardReconstructor: {"outward": 2500},
+}
 KNOWN_HEADINGS = (7002, 7005, 7012)
 """Chains that begin as if motion showed no headings: rows take them as known from the first frame on."""
 SEEDS = (7000, 7002, 7003, 7005, 7007, 7012, 7021, 7023)
@@ -827,5 +848,4 @@ def test_every_step_is_that_of_the_dense_filter(kind, monkeypatch):
             except AssertionError as error:
                 error.add_note(f"of chain {seed}")
                 raise
-    update, least = UPDATES[kind]
-    assert {what: count for what, count in (LEAST | {update: least}).items() if total[what] < count} == {}
+    assert {what: n for what, n in (LEAST | UPDATES[kind]).items() if total[what] < n} == {}

@@ -1,4 +1,4 @@
-"""Headings by the sun in the tree filter. Compiled."""
+"""Headings in the world: by the sun, or by definition. Compiled."""
 
 from __future__ import annotations
 
@@ -10,22 +10,25 @@ import numpy as np
 from gateway.frames import FloatArray, ImuFrame, IntArray, SunSight
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.inertial.tree.start import tilt_square, turn_heading_sums
+from gateway.geometry.records import Records
+from gateway.reconstruction.inertial.tree.start import root_of, tilt_square, turn_heading_sums
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Heading,
+    Link,
     Segment,
     SegmentWork,
+    Started,
     State,
     SunSums,
     Validity,
     Work,
 )
 from gateway.reconstruction.inertial.tree.tuning import Tuning
-from gateway.reconstruction.inertial.tree.update import add_own
+from gateway.reconstruction.inertial.tree.update import add_own, inverse_into
 
 OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
-RATE = Validity.RATE.value
+RATE, STARTED = Validity.RATE.value, Started.YES.value
 
 
 # The sun
@@ -56,6 +59,10 @@ def sight_of(rows: FloatArray) -> SunSight | None:
     if len(rows) == 0 or np.isnan(rows[-1, 0]):
         return None
     return SunSight(rows[-1, :3], rows[:-1, :3], rows[:-1, 3])
+
+
+DEFINED = 0.99
+"""Share of the mean heading's error: with all of it two segments would have one error and its negative."""
 
 
 @compiled
@@ -143,3 +150,110 @@ def _steady_turn(look: SunSums, off: float, tuning: Tuning, dt: float) -> float:
     angle = -math.atan2(look.across, look.along)
     look.along, look.across, look.seconds = 0.0, 0.0, 0.0
     return angle if angle != 0.0 else -1e-12  # 0 means not yet
+
+
+# Headings in the world that nothing shows
+
+
+@compiled
+def define_headings(body: Body, state: State, tuning: Tuning) -> None:
+    """Take for known how a body heads in the world where nothing can show it, equation (57a).
+
+    The mean of its segments' headings is what the estimate says, by definition, once all of them have been
+    found against each other. Were it left unknown, a joint beside a segment that was silent would tell of it
+    and turn the body: a tree does not keep what the two sides of a segment have in common.
+    """
+    links, segments = body.segments, state.segments
+    for root in range(len(links)):
+        if body.world.is_tree == 1 and links[root].parent < 0 and links[root].heading_observable == 0:
+            n = _found(links, segments, root)
+            unknown = 0.5 * tuning.unknown_heading**2 / max(n, 1)
+            if n > 1 and segments[root].P[2, 2] > unknown:
+                _define_heading(links, segments, root, n, unknown)
+
+
+@compiled
+def open_headings(body: Body, state: State, tuning: Tuning, work: Work) -> None:
+    """Make the heading in the world of a tree unknown that is about to see the sun for the first time."""
+    links, segments = body.segments, state.segments
+    for root in range(len(links)):
+        if body.world.is_tree == 0 or links[root].parent >= 0 or links[root].heading_observable == 1:
+            continue
+        sees, has_seen, least = False, False, tuning.unknown_heading**2
+        for s in range(root, len(links)):
+            if _is_there(links, segments, s, root):
+                has_seen = has_seen or segments[s].sun.has_shown == 1
+                sees = sees or math.isfinite(work.segments[s].sun[0])
+                least = min(least, segments[s].P[2, 2])
+        more = tuning.unknown_heading**2 - least
+        for s in range(root, len(links)):
+            if sees and not has_seen and _is_there(links, segments, s, root):
+                segments[s].P[2, 2] += more
+                if _is_there(links, segments, links[s].parent, root):
+                    segments[s].C[2, 2] += more
+
+
+@compiled
+def _found(links: Records[Link], segments: Records[Segment], root: int) -> int:
+    """Return how many segments of a tree are there; 0 while a heading is not found or the sun seen."""
+    n = 0
+    for s in range(root, len(links)):
+        if _is_there(links, segments, s, root):
+            if segments[s].heading == UNOBSERVED or segments[s].sun.has_shown == 1:
+                return 0
+            n += 1
+    return n
+
+
+@compiled
+def _is_there(links: Records[Link], segments: Records[Segment], s: int, root: int) -> bool:
+    """Return whether s is a segment of the tree of ``root``, and is estimated."""
+    return bool(s >= 0 and segments[s].started == STARTED and root_of(links, s) == root)
+
+
+@compiled
+def _define_heading(
+    links: Records[Link], segments: Records[Segment], root: int, n: int, unknown: float
+) -> None:
+    """Make of errors of n segments' headings what they are against their mean, if that is unknown.
+
+    unknown: variance from which it is, rad². The mean's covariances with the errors are summed up from the
+    leaves to the root and back, as for the update (47).
+    """
+    count = len(links)
+    known, with_mean, from_beyond = np.empty((count, 6, 6)), np.zeros((count, 6)), np.zeros((count, 6))
+    for s in range(count - 1, root - 1, -1):
+        segment, p = segments[s], links[s].parent
+        if _is_there(links, segments, s, root):
+            inverse_into(known[s], segment.P)
+            with_mean[s] += segment.P[2] / n
+            if _is_there(links, segments, p, root):
+                from_beyond[s] = segment.C.T @ (known[s] @ with_mean[s])
+                with_mean[p] += from_beyond[s]
+    variance = 0.0
+    for s in range(root, count):
+        segment, p = segments[s], links[s].parent
+        if _is_there(links, segments, s, root):
+            if _is_there(links, segments, p, root):
+                with_mean[s] += segment.C @ (known[p] @ (with_mean[p] - from_beyond[s]))
+            variance += with_mean[s, 2] / n
+    if variance < unknown:
+        return
+    for s in range(root, count):
+        segment, p = segments[s], links[s].parent
+        if _is_there(links, segments, s, root):
+            _subtract_mean(segment.P, with_mean[s], with_mean[s], variance)
+            if _is_there(links, segments, p, root):
+                _subtract_mean(segment.C, with_mean[s], with_mean[p], variance)
+
+
+@compiled
+def _subtract_mean(P: FloatArray, first: FloatArray, second: FloatArray, variance: float) -> None:
+    """Set the covariance P (6, 6) of two segments' errors to that after (57a).
+
+    first, second: (6,), covariances of both with the mean of the headings. variance: of that, rad².
+    """
+    for i in range(6):
+        P[i, 2] -= DEFINED * first[i]
+        P[2, i] -= DEFINED * second[i]
+    P[2, 2] += DEFINED**2 * variance

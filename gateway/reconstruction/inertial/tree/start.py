@@ -35,7 +35,7 @@ from gateway.reconstruction.inertial.tree.state import (
 from gateway.reconstruction.inertial.tree.tuning import Tuning
 
 OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
-STARTED = Started.YES.value
+NOT_STARTED, STARTED = Started.NO.value, Started.YES.value
 FORCE, NOTHING = Validity.FORCE.value, Validity.NOTHING.value
 
 
@@ -56,6 +56,14 @@ def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None
                 _start(segment, links[s], now, body.world, tuning)
             if segment.started != STARTED:
                 now.validity = NOTHING
+
+
+@compiled
+def root_of(links: Records[Link], s: int) -> int:
+    """Return the root of the tree in which segment s is."""
+    while links[s].parent >= 0:
+        s = links[s].parent
+    return s
 
 
 @compiled
@@ -310,17 +318,18 @@ def is_contradicted(sums: HeadingSums, tuning: Tuning) -> bool:
 def take_back_heading(body: Body, state: State, tuning: Tuning, work: Work, s: int) -> None:
     """Mark the heading of segment s as unobserved again, since motion contradicts it, and keep the evidence.
 
-    The headings of s and of all segments beyond it become unknown against those before it.
+    The headings of one side become unknown against those of the other: of that which gives way more.
     """
     links, segments, works = body.segments, state.segments, work.segments
+    root, more = root_of(links, s), tuning.unknown_heading**2
     segments[s].heading = UNOBSERVED
-    more = tuning.unknown_heading**2
-    for c in range(s, len(links)):
+    beyond_gives, before_gives = _gives(body, state, tuning, work, s, root)
+    is_beyond = links[s].parent < 0 or beyond_gives >= before_gives
+    for c in range(root, len(links)):
         now, p = works[c], links[c].parent
-        now.is_beyond = 1 if c == s or (p >= s and works[p].is_beyond) else 0
-        if now.is_beyond:
+        if now.is_beyond if is_beyond else now.is_before:
             segments[c].P[2, 2] += more
-            if c > s:
+            if p >= 0 and (works[p].is_beyond if is_beyond else works[p].is_before):
                 segments[c].C[2, 2] += more
 
 
@@ -355,16 +364,9 @@ def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, an
     its own heading while that of s was lost; a root turns with all of them.
     """
     links, segments, works = body.segments, state.segments, work.segments
-    root, first = s, links[s].parent
-    while links[root].parent >= 0:
-        root = links[root].parent
-    _mark_sides(body, state, tuning, work, s, root)
-    gives, above_gives = np.inf, np.inf
-    for c in range(root, len(links)):
-        give = give_of(segments[c], tuning)
-        gives = min(gives, give) if works[c].is_beyond else gives
-        above_gives = min(above_gives, give) if works[c].is_before else above_gives
-    beyond = 1.0 if first < 0 else gives / (gives + above_gives)
+    root, first = root_of(links, s), links[s].parent
+    beyond_gives, before_gives = _gives(body, state, tuning, work, s, root)
+    beyond = 1.0 if first < 0 else beyond_gives / (beyond_gives + before_gives)
     if first < 0 or beyond < tuning.lone_share:
         segments[root].compass.settled_s = 0.0
     for c in range(root, len(links)):
@@ -373,6 +375,19 @@ def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, an
             now.turn[2] += beyond * angle
         elif now.is_before:
             now.turn[2] -= (1.0 - beyond) * angle
+
+
+@compiled
+def _gives(body: Body, state: State, tuning: Tuning, work: Work, s: int, root: int) -> tuple[float, float]:
+    """Return how easily the side beyond the joint of s turns, and that before it; mark which is which."""
+    segments, works = state.segments, work.segments
+    _mark_sides(body, state, tuning, work, s, root)
+    beyond, before = np.inf, np.inf
+    for c in range(root, len(segments)):
+        give = give_of(segments[c], tuning)
+        beyond = min(beyond, give) if works[c].is_beyond else beyond
+        before = min(before, give) if works[c].is_before else before
+    return beyond, before
 
 
 @compiled

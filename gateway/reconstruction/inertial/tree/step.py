@@ -22,7 +22,7 @@ from gateway.reconstruction.inertial.observations import sensor_to_segment_matri
 from gateway.reconstruction.inertial.tree.clipping import is_at_end, judge_samples
 from gateway.reconstruction.inertial.tree.compass import follow_field, share_headings, shows_world
 from gateway.reconstruction.inertial.tree.devices import device_rows, has_reported, take_reading
-from gateway.reconstruction.inertial.tree.headings import follow_sun, take_sun
+from gateway.reconstruction.inertial.tree.headings import define_headings, follow_sun, open_headings, take_sun
 from gateway.reconstruction.inertial.tree.prediction import (
     average,
     correct,
@@ -243,8 +243,9 @@ def _advance(
         mark_unaided(body, state, tuning, work, status)
 
         if len(covariance) > 0:
+            is_shown = shows_world(body.segments, state.segments)
             for s in range(n):
-                _own_covariance(covariance[t, s, 0], state.segments[s], body.world)
+                _own_covariance(covariance[t, s, 0], state.segments[s], body.world, is_shown)
                 rotation_matrix.copy_into(covariance[t, s, 1], state.segments[s].published)
         _place(p_w, wearing, q_wb, inputs.root_position[t])
 
@@ -273,6 +274,7 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
     # rows. Section 8: the sun
     _forget(work)
     if work.shared.sees_sun:
+        open_headings(body, state, tuning, work)
         follow_sun(body, state, tuning, work, dt)
 
     # section 7: local devices; section 9: zero acceleration
@@ -295,6 +297,9 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
 
     # section 13: what the corrections say
     note_corrections(state, tuning, work, dt)
+
+    # section 12: what is not shown at all
+    define_headings(body, state, tuning)
 
     # section 8: what the field says of headings
     if body.world.uses_field:
@@ -456,17 +461,19 @@ def _outputs(
 
 
 @compiled
-def _own_covariance(P: FloatArray, segment: Segment, world: World) -> None:
+def _own_covariance(P: FloatArray, segment: Segment, world: World, is_world_shown: bool) -> None:
     """Fill P (3, 3) with the covariance of the estimate's orientation error, rad², world axes.
 
     Smoothing weighs estimates by it. Where the field is used the variance of the heading is that of the
-    compass, if that is smaller.
+    compass, if that is smaller or nothing else shows the heading in the world.
     """
     rotation_matrix.copy_into(P, segment.P)
     for i in range(3):
         P[i, i] += segment.gap.missed
     compass = segment.compass
-    if world.uses_field and P[2, 2] > compass.error_variance:
+    if world.uses_field and not is_world_shown and P[2, 2] < compass.error_variance:
+        P[2, 2] = compass.error_variance
+    elif world.uses_field and P[2, 2] > compass.error_variance:
         share = math.sqrt(compass.error_variance / P[2, 2])
         for i in range(3):
             P[2, i] *= share
@@ -505,6 +512,8 @@ def publish_covariances(body: Body, state: State, tuning: Tuning, work: Work) ->
         if body.world.uses_field:
             of_field = segment.compass.error_variance
             published[2, 2] = min(P[2, 2], of_field) if is_world_shown else of_field
+        elif not is_world_shown:
+            published[2, 2] = max(P[2, 2], tuning.unknown_heading**2)
         for i in range(3):
             published[i, i] += segment.gap.missed
 
