@@ -180,6 +180,39 @@ print(json.dumps({"compiled": compiled, "poses": poses > 1000}))
 """
 
 
+def test_a_module_worn_wrong_calls_no_kernel_that_was_not_compiled_beforehand():
+    """The first explanation of how it is worn stopped a running suit for five seconds."""
+    done = subprocess.run(
+        [sys.executable, "-c", WORN_WRONG], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == {"later": [], "doubts": [12]}
+
+
+WORN_WRONG = """
+import json
+from devices.emulators.imperfections import TYPICAL
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.link import Chunk, Framing
+from gateway.body.rig import load_rig
+from gateway.emulation.rig import dress, move, worn_wrong
+from gateway.geometry import compiled
+from gateway.pipeline import Pipeline
+from gateway.service import compiling
+compiling._let_through("joint")
+beforehand = set(compiled.called())
+suit = load_rig("suit_lower_7")
+motion = move(worn_wrong(dress(suit), [12], []), suit.skeleton.name, 1)
+pipeline = Pipeline(suit, compiling._PARAMS, "joint")
+pipeline.add_link("suit", Framing.BYTE_STREAM)
+for sent in SuitTraffic(motion, SuitSettings(), TYPICAL, 1).transmissions(14.0):
+    pipeline.feed(Chunk(sent.data, 10**18 + round(sent.time_s * 1e9), "suit"))
+new = set(compiled.called()) - beforehand
+later = [kernel.name for kernel in new if kernel.module.startswith("gateway.reconstruction.")]
+print(json.dumps({"later": later, "doubts": list(pipeline.module_stage.doubts())}))
+"""
+
+
 def test_a_part_that_fails_is_told(empty, monkeypatch):
     monkeypatch.setattr(sys, "executable", shutil.which("false"))
     with pytest.raises(GatewayError, match="compiling failed in the part"):
