@@ -239,6 +239,8 @@ def _reasons(recording: Recording) -> list[str]:
     reasons = []
     if not recording.meta.from_start:
         reasons.append("the recording began while the gateway was running: its filters had started before")
+    if damaged := sum(file.damaged_chunks for file in recording.parts.files):
+        reasons.append(f"damaged pieces of the recording are missing, {damaged} up to there")
     was, now = recording.meta.host, host()
     keys = ["gateway", "python", "libraries", "machine", "instructions"]
     if was.get("instructions", NATIVE) == now["instructions"] == NATIVE:

@@ -35,6 +35,16 @@ def test_verify_says_identical_or_what_differs(record):
     assert (code, "identical" in output) == (0, True)
 
 
+def test_a_difference_after_a_damaged_piece_is_put_down_to_that(record):
+    path = record()
+    data = bytearray(path.read_bytes())
+    data[data.index(b"zstd", len(data) // 4) + 40] ^= 0xFF
+    path.write_bytes(data)
+    code, output = typed("replay", path, "--verify")
+    assert code == 1
+    assert "damaged pieces of the recording are missing, 1 up to there" in output
+
+
 def test_a_difference_is_said_with_its_likely_reasons(record, monkeypatch):
     monkeypatch.setattr("gateway.recording.snapshot.platform.python_version", lambda: "3.99")
     path = record(from_start=False)
