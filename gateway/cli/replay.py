@@ -121,7 +121,8 @@ def replay(
         bool, typer.Option("--verify", help="Recompute, and compare with the recorded poses byte by byte.")
     ] = False,
     output: Annotated[
-        Path | None, typer.Option(help="The new recording; given alone: solve as recorded.")
+        Path | None,
+        typer.Option("--output", "-o", help="The new recording; given alone: solve as recorded."),
     ] = None,
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Broker and gateway name from this file instead.")

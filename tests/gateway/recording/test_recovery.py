@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -10,6 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from devices import recording_format as fmt
 from devices.recording_file import RecordingError, RecordingFile
+from devices.recording_writer import DerivedRecordingWriter
 from gateway.recording import open_recording
 from gateway.recording.recovery import recover, recover_in_place
 from gateway.recording.summary import recordings_in, summarise
@@ -71,6 +75,19 @@ def test_recovering_in_place_keeps_the_file_until_the_new_one_is_whole(whole, tm
     assert "was not closed" in done.defect
     assert repr(list(open_recording(path).items())) == repr(items)
     assert [each.name for each in path.parent.iterdir()] == [path.name]
+
+
+def test_a_full_disk_is_said_with_the_remedy_and_the_file_stays(whole, monkeypatch):
+    path, data, _ = whole
+
+    def full(*_arguments, **_named):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(DerivedRecordingWriter, "flush", full)
+    monkeypatch.setattr(DerivedRecordingWriter, "__exit__", full)
+    with pytest.raises(RecordingError, match="the disk is full: make room, or name another place"):
+        recover_in_place(path)
+    assert path.read_bytes() == data
 
 
 def test_what_is_no_recording_is_said(tmp_path, whole):
