@@ -179,14 +179,14 @@ def _kept(
     return _explained(joints, agreement, now, asked, Found(0.0, s, partner, 0))
 
 
-def _asked(joints: Joints, agreement: AgreementState, worn: Worn, as_said: Arrangement) -> Asked:
+def _asked(joints: Joints, agreement: AgreementState, worn: Worn, now: Arrangement) -> Asked:
     """Return how the joints agree when all modules are worn as the rig says.
 
     The disagreement is found as that of every explanation: all that an explanation calls is compiled with the
     first judgement, not when the first explanation is found, which would stop a running gateway for seconds.
     """
     _, _, power, swing = pairs_of(joints.sides, agreement.pairs).T
-    turned = _differences(joints, agreement, as_said, np.arange(len(joints.sides)))[0]
+    turned = _differences(joints, agreement, now, np.arange(len(joints.sides)))[0]
     is_known = (worn.is_known > 0) & (worn.is_known[joints.sides["parent"]] > 0)
     is_observable = (power >= LEAST_ACCELERATION**2) & is_known
     floor = ARM_OFF**2 * swing + TILT_OFF**2 * power + NOISE**2

@@ -3,8 +3,10 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -223,6 +225,23 @@ def test_an_unknown_method_is_refused_by_the_command():
     done = subprocess.run(readiness.command("magic"), capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "no method is called 'magic'" in done.stderr
+
+
+@pytest.mark.parametrize("after_s", [2.0, 4.0])
+def test_ctrl_c_ends_what_compiles_without_a_trace_of_the_program(after_s, tmp_path):
+    """It reaches all processes of the terminal: whoever ended a first start was shown four traces."""
+    process = subprocess.Popen(
+        readiness.command("joint"),
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+        stderr=subprocess.PIPE,
+        text=True,
+        process_group=0,
+    )
+    time.sleep(after_s)
+    os.killpg(process.pid, signal.SIGINT)
+    _, told = process.communicate(timeout=30)
+    assert process.returncode != 0
+    assert "gateway/" not in told  # Python's own beginning, before anything of ours is read, may be hit
 
 
 def test_a_process_that_compiles_says_nothing_when_the_one_that_asked_has_ended():
