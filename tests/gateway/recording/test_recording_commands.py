@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import resource
+import signal
 import sys
 
 import pytest
@@ -200,6 +202,25 @@ def test_an_output_that_cannot_be_written_is_one_line_with_a_remedy(record, tmp_
     assert "Traceback" not in errors
     assert arguments[-1].partition("/")[0] in line
     assert "folder" in line or "another place" in line
+
+
+def test_a_new_recording_that_finds_no_room_is_said_with_the_place(record, tmp_path):
+    """The answer was "a file: No space left on device"."""
+    path, target = record(), tmp_path / "elsewhere" / "again.mcap"
+    target.parent.mkdir()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size // 2, before[1]))
+    try:
+        code, _, errors = typed_here(["replay", path, "--reconstructor", "independent", "--output", target])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert code == 1
+    assert errors.splitlines()[-1].startswith(
+        f"mocap-gateway: {target.parent}: File too large: no file of that"
+    )
+    assert list(target.parent.iterdir()) == []
 
 
 def test_an_output_without_ending_is_a_folder(record, tmp_path):
