@@ -9,14 +9,17 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, BinaryIO, NamedTuple, TypeAlias
 
 import zstandard
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -33,6 +36,9 @@ LARGEST_CHUNK = 1 << 26
 """Bytes of a chunk, unpacked; those of the recorder have a few hundred kB. A file that was made to unpack to
 more than memory holds counts as damaged there."""
 
+MOST_GAPS = 200
+"""Stretches of a file that are passed over; one with more was made to cost time."""
+
 BYTES_A_RECORD = 8
 """Of a file, at the least, for each record that it unpacks to: its own and 16 of the index that follows."""
 
@@ -47,6 +53,12 @@ _LONGEST_PART = 6
 
 _RECORD_HEAD = struct.Struct("<BQ")
 """Opcode and length of what follows."""
+_CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")
+"""The same of a chunk, with what stands before its data: times, size, checksum, compression, length."""
+_CHUNK_BEGINS = re.compile(rb"(?s)\x06.{36}\x04\0\0\0zstd.{8}")
+"""Of a chunk as the recorder writes them."""
+_KNOWN = frozenset(map(int, Opcode))
+_SEARCHED_AT_ONCE = 1 << 20
 
 DAMAGE = (McapError, ValueError, struct.error, ZstdError, RuntimeError, MemoryError, OverflowError)
 """What the library raises for bytes that are not what they should be, lengths beyond any memory too."""
@@ -81,6 +93,13 @@ class Head:
 
 REMEDY = "; `mocap-gateway recover` makes a whole file of it"
 """How the words for a file that was not closed end."""
+_NOT_CLOSED = "was not closed (power cut, kill, full disk)"
+_NO_INDEX = "was not closed: all of its data is there, its index is not"
+
+
+class _Gap:
+    """In the place of what cannot be read, before the next chunk that can."""
+
 
 ContentRecord: TypeAlias = Schema | Channel | Message | Attachment | Metadata
 
@@ -96,6 +115,8 @@ class RecordingFile:
         """MCAP chunks within the file that had to be left out."""
         self.position = 0
         """Bytes read so far, for showing progress."""
+        self._good_to = 0
+        """Where the last chunk ends whose checksum was right."""
         try:
             self.size = os.path.getsize(path)
             self.head = self._read_head()
@@ -116,12 +137,15 @@ class RecordingFile:
         self.defect, self.damaged_chunks = None, 0
         count, known = 0, set[int]()
         for record in self._outer_records():
-            if not isinstance(record, Chunk):
+            if not isinstance(record, Chunk | _Gap):
                 if isinstance(record, Schema | Channel | Message | Attachment | Metadata):
                     yield record
                 continue
             try:
+                if isinstance(record, _Gap):
+                    raise ValueError("not one record could be read")
                 inner = chunk_records(record, most_records(self.position) - count)
+                self._good_to = self.position
             # One damaged chunk does not end the file: the chunks after it are read as usual.
             except DAMAGE:
                 self.damaged_chunks += 1
@@ -146,30 +170,79 @@ class RecordingFile:
             return [] if summary is None else list(summary.channels.values())
         return []
 
-    def _outer_records(self) -> Iterator[McapRecord]:
-        """Yield records up to the end of the data; set ``defect`` where that is not the end of the file."""
-        self.position = 0
-        with self.path.open("rb") as file:
-            reader = StreamReader(file, emit_chunks=True, record_size_limit=LARGEST_RECORD)
+    def _outer_records(self) -> Iterator[McapRecord | _Gap]:
+        """Yield records up to the end of the data; set ``defect`` where that is not the end of the file.
 
-            try:
-                for record in reader.records:
-                    self.position = file.tell()
-                    if isinstance(record, DataEnd):
-                        break
-                    yield record
-                # The closing magic is the last thing written: without it the index may be missing.
-                file.seek(max(self.size - len(MCAP0_MAGIC), 0))
-                if file.read() != MCAP0_MAGIC:
-                    self.defect = (
-                        f"{self.path} was not closed: all of its data is there, its index is not{REMEDY}"
-                    )
-            except DAMAGE:
-                self.defect = (
-                    f"{self.path} was not closed (power cut, kill, full disk): read up to byte "
-                    f"{self.position} of {self.size}{REMEDY}"
-                )
+        Where no record can be read, a ``_Gap`` is yielded, and reading goes on with the next whole chunk.
+        """
+        self.position = self._good_to = 0
+        with self.path.open("rb") as file:
+            self.size = os.fstat(file.fileno()).st_size
+            at = 0
+            for _ in range(MOST_GAPS):
+                try:
+                    yield from self._records_from(file, at)
+                except DAMAGE:
+                    failed_at = self.position
+                else:
+                    self.defect = None if self._has_end(file) else f"{self.path} {_NO_INDEX}{REMEDY}"
+                    break
+                # A damaged length may have led anywhere: nothing good before that place is passed over.
+                found = self._next_chunk(file, max(self._good_to, at + 1)) if failed_at else None
+                what = "is damaged" if self._has_end(file) else _NOT_CLOSED
+                self.defect = f"{self.path} {what}: read up to byte {failed_at} of {self.size}{REMEDY}"
+                if found is None:
+                    break
+                at = found
+                yield _Gap()
         self.position = self.size
+
+    def _has_end(self, file: BinaryIO) -> bool:
+        """Return whether a file has the closing magic, which is the last thing written."""
+        file.seek(max(self.size - len(MCAP0_MAGIC), 0))
+        return file.read() == MCAP0_MAGIC
+
+    def _records_from(self, file: BinaryIO, at: int) -> Iterator[McapRecord]:
+        """Yield records from a place on, up to the end of the data. Raises one of ``DAMAGE``."""
+        file.seek(at)
+        if at == 0 and file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+            raise ValueError("no MCAP file")
+        while not isinstance(record := self._next_record(file), DataEnd):
+            self.position = file.tell()
+            if record is not None:
+                yield record
+
+    def _next_record(self, file: BinaryIO) -> McapRecord | None:
+        """Return the record that a file stands at; None: of an unknown kind. Raises one of ``DAMAGE``.
+
+        The library takes what it gets for a record, however short, and a chunk's own lengths for right.
+        """
+        head = file.read(_RECORD_HEAD.size)
+        opcode, length = _RECORD_HEAD.unpack(head)
+        if opcode == 0 or length > min(LARGEST_RECORD, self.size - file.tell()):
+            raise ValueError(f"no record of {length} bytes can stand here")
+        content = head + file.read(length)
+        if opcode == Opcode.CHUNK and not _fits(content):
+            raise ValueError("the lengths of a chunk contradict each other")
+        if opcode not in _KNOWN:
+            return None
+        reader = StreamReader(BytesIO(content), skip_magic=True, emit_chunks=True)
+        return next(iter(reader.records))
+
+    def _next_chunk(self, file: BinaryIO, at: int) -> int | None:
+        """Return where the first chunk from ``at`` on begins that the file holds whole; None without one."""
+        while at + _CHUNK_HEAD.size <= self.size:
+            file.seek(at)
+            piece = file.read(_SEARCHED_AT_ONCE + _CHUNK_HEAD.size)
+            found = _CHUNK_BEGINS.search(piece)
+            while found is not None:
+                begin = found.start()
+                end = at + begin + _RECORD_HEAD.size + _RECORD_HEAD.unpack_from(piece, begin)[1]
+                if end <= self.size and _fits(piece[begin : begin + _CHUNK_HEAD.size]):
+                    return at + begin
+                found = _CHUNK_BEGINS.search(piece, begin + 1)
+            at += _SEARCHED_AT_ONCE
+        return None
 
     def _read_head(self) -> Head:
         session: dict[str, str] | None = None
@@ -180,7 +253,7 @@ class RecordingFile:
             elif isinstance(record, Attachment):
                 attachments[record.name] = record.data
             # The head is complete where the first chunk begins; the rest may be gigabytes.
-            elif isinstance(record, Chunk):
+            elif isinstance(record, Chunk | _Gap):
                 break
         self.defect, self.position = None, 0
         part = "1" if session is None else session.get("part", "1")
@@ -265,6 +338,15 @@ def chunk_records(chunk: Chunk, most: int) -> list[McapRecord]:
     if not _has_at_most(data, most):
         raise ValueError(f"a chunk of more than {most} records")
     return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
+
+
+def _fits(record: bytes) -> bool:
+    """Return whether a chunk's length is that of its parts, as far as the recorder's compression tells."""
+    if len(record) < _CHUNK_HEAD.size:
+        return False
+    _, length, *_, n_word, _, n_data = _CHUNK_HEAD.unpack_from(record)
+    is_whole: bool = length == _CHUNK_HEAD.size - _RECORD_HEAD.size + n_data
+    return is_whole or n_word != len(b"zstd")
 
 
 def plain_json(data: str | bytes) -> Any:

@@ -209,6 +209,7 @@ class _Buffered:
 
     def __init__(self, path: Path) -> None:
         self.written = 0
+        self._folder = path.parent
         self._pending = bytearray()
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
 
@@ -230,9 +231,10 @@ class _Buffered:
             while remaining:
                 # One call may write only a part.
                 remaining = remaining[os.write(self._descriptor, remaining) :]
-        except OSError:
+        except OSError as error:
             # A record of which a part was written would spoil all that follow.
             os.ftruncate(self._descriptor, self.written)
+            error.filename = str(self._folder)  # its disk: the file may have a name that users do not know
             raise
         self.written += length
 

@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from devices.link import SUIT
+from devices.recording_format import SUFFIX as RECORDING_SUFFIX
 from gateway.errors import SettingsError, nearest
 from gateway.outputs.settings import MqttSettings, OutputsSettings
 from gateway.reconstruction import (
@@ -499,7 +500,29 @@ def load_gateway_settings(path: Path, pushed: dict[str, Any] | None = None) -> G
         }
         if allowed:
             settings = load_settings(path, GatewaySettings, allowed)
+    _refuse_shared_ports(path, settings.links)
     if settings.clock.table is not None and (path.parent / settings.clock.table).is_file():
         clock = settings.clock.model_copy(update={"table": str(path.parent / settings.clock.table)})
         settings = settings.model_copy(update={"clock": clock})
     return settings
+
+
+_FOR_ONE_LINK = ("/", "slcan://", "rfc2217://", "udp://")
+"""How addresses of ports begin that cannot be opened twice; several links may share a bus or a recording."""
+
+
+def _refuse_shared_ports(path: Path, links: list[AnyLinkSettings]) -> None:
+    """Refuse two links on a port that one alone can open, which the second one would wait for in vain.
+
+    Of a recording's copy of a configuration nothing is opened, so nothing is refused there.
+    """
+    holders: dict[str, str] = {}
+    for link in links:
+        address = link.url.partition("?")[0].removeprefix("serial://")
+        if not address.startswith(_FOR_ONE_LINK) or address.endswith((RECORDING_SUFFIX, ":0")):
+            continue
+        if (holder := holders.setdefault(address, link.name)) != link.name:
+            raise SettingsError(
+                f"{path}: 'links': '{holder}' and '{link.name}' name the same port, which one link alone can "
+                "open: give one of them another url"
+            )

@@ -12,10 +12,12 @@ __all__ = ["SUFFIXES", "MarkerTrial", "holds_markers", "read_c3d", "read_markers
 
 SUFFIXES = {".c3d": read_c3d, ".trc": read_trc, ".tsv": read_table, ".csv": read_table}
 _HEAD_BYTES = 32
+_PNG = b"\x89PNG"
 
 
 def _is_c3d(head: bytes) -> bool:
-    return head[1:2] == bytes([MAGIC]) and not head[:2].isalpha()
+    # A picture begins so, too.
+    return head[1:2] == bytes([MAGIC]) and not head[:2].isalpha() and not head.startswith(_PNG)
 
 
 def holds_markers(head: bytes) -> bool:

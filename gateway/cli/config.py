@@ -15,7 +15,7 @@ from rich.markup import escape
 from devices.signed_link import write_key
 from firmware_protocol import MAX_MODULE, RELAY
 from firmware_protocol.dbc import ALL_SENSORS, render
-from gateway.errors import GatewayError, nearest
+from gateway.errors import GatewayError, SettingsError, nearest
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
 from gateway.support.whole_files import write_whole
 
@@ -31,9 +31,11 @@ config_app = typer.Typer(
 
 @config_app.command(epilog="Example: mocap-gateway config check config/gateway.yaml")
 def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configuration file.")) -> None:
-    """Check a configuration, the rig and the body it names. Opens nothing."""
+    """Check a configuration, and the rig, the body and the clock table it names. Opens no port."""
+    from devices.endpoints import EndpointError
     from gateway.body.rig import load_rig
     from gateway.cameras.broker_link import link_of
+    from gateway.clocks import load_clock_table
     from gateway.reconstruction.inertial.articulated import unobserved_headings
 
     settings = load_gateway_settings(file)
@@ -41,7 +43,15 @@ def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configu
     fitting_suit(settings, suit)
     # Made, not opened: an address that makes no sense is found without any hardware.
     for link in settings.links:
-        link_of(link, settings.mqtt, lambda: settings.mqtt.port)
+        try:
+            link_of(link, settings.mqtt, lambda: settings.mqtt.port)
+        except EndpointError as error:
+            raise SettingsError(f"{file}: {error}") from None
+    if settings.clock.table is not None:
+        try:
+            load_clock_table(Path(settings.clock.table))
+        except SettingsError as error:
+            raise SettingsError(f"{file}: 'clock.table': {error}") from None
     Console().print(
         f"[green]{escape(str(file))} is good[/green]: gateway '{settings.gateway}', {len(settings.links)} "
         f"link(s), {_worn(suit)} on body '{escape(suit.skeleton.name)}', "

@@ -17,7 +17,7 @@ from devices.link import SUIT
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings, TlsSettings
 from gateway.sources.link_settings import LinkSettings
-from gateway.support.settings_files import as_shown
+from gateway.support.settings_files import as_shown, message_of
 
 Command = Callable[..., None]
 
@@ -82,7 +82,7 @@ def broker_settings(ca_file: Path | None, **options: Any) -> MqttSettings:
 
 def _complaint(problem: Any) -> str:
     """Say what is wrong, after the option that it stands in."""
-    message = _message(problem)
+    message = message_of(problem)
     if not problem["loc"]:
         return message
     option = str(problem["loc"][0]).replace("_", "-")
@@ -94,11 +94,9 @@ def link_of(url: str) -> LinkSettings:
     try:
         return LinkSettings(name=SUIT, url=url)
     except ValidationError as error:
-        raise GatewayError("; ".join(f"--link: {_message(problem)}" for problem in error.errors())) from None
-
-
-def _message(problem: Any) -> str:
-    return str(problem["msg"]).removeprefix("Value error, ")
+        raise GatewayError(
+            "; ".join(f"--link: {message_of(problem)}" for problem in error.errors())
+        ) from None
 
 
 @dataclass(frozen=True)

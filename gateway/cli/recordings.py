@@ -87,7 +87,9 @@ def info(
 
 def recover(
     file: Annotated[Path, typer.Argument(help="Recording that was cut off or damaged.")],
-    output: Annotated[Path | None, typer.Option(help="Default: NAME.recovered.mcap beside it.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Default: NAME.recovered.mcap beside it.")
+    ] = None,
     in_place: Annotated[bool, typer.Option("--in-place", help="Replace the file.")] = False,
 ) -> None:
     """Make a whole file of all that can be read of one: after a kill, a power cut or a full disk.
@@ -120,7 +122,7 @@ def _row(summary: RecordingSummary) -> tuple[str, ...]:
         _when(summary.begun_utc_ns),
         f"{minutes}:{seconds:02d}",
         f"{summary.bytes / 1e6:.1f}",
-        str(len(summary.modules)) if summary.modules else "?",
+        str(summary.n_modules) if summary.modules else "?",
         "?" if loss is None else f"{loss:.2f} %",
         ", ".join(notes),
     )

@@ -121,7 +121,8 @@ def replay(
         bool, typer.Option("--verify", help="Recompute, and compare with the recorded poses byte by byte.")
     ] = False,
     output: Annotated[
-        Path | None, typer.Option(help="The new recording; given alone: solve as recorded.")
+        Path | None,
+        typer.Option("--output", "-o", help="The new recording; given alone: solve as recorded."),
     ] = None,
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Broker and gateway name from this file instead.")
@@ -239,6 +240,8 @@ def _reasons(recording: Recording) -> list[str]:
     reasons = []
     if not recording.meta.from_start:
         reasons.append("the recording began while the gateway was running: its filters had started before")
+    if damaged := sum(file.damaged_chunks for file in recording.parts.files):
+        reasons.append(f"damaged pieces of the recording are missing, {damaged} up to there")
     was, now = recording.meta.host, host()
     keys = ["gateway", "python", "libraries", "machine", "instructions"]
     if was.get("instructions", NATIVE) == now["instructions"] == NATIVE:

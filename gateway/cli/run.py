@@ -148,6 +148,8 @@ class _Supervisor:
         except asyncio.CancelledError:
             process.terminate()
             raise
+        if status == -signal.SIGINT:
+            return  # Ctrl-C reached that process first, and is about to end this one
         if status != 0:
             log.error("compiling '%s' failed (status %d): '%s' stays", name, status, readiness.FALLBACK)
             return

@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 from firmware_protocol import MAX_MODULE
 from gateway.errors import GatewayError, nearest
 from gateway.support.former_names import current
-from gateway.support.names import IN_WORDS, KEPT_FILE, RECORDING_NAME
+from gateway.support.names import KEPT_FILE, RECORDING_NAME
+from gateway.support.settings_files import message_of
 
 
 class Request(BaseModel):
@@ -450,5 +451,4 @@ def asked(family: str, verb: str, data: Mapping[str, Any]) -> Request:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        wanted = IN_WORDS.get(first.get("ctx", {}).get("pattern", ""), first["msg"])
-        raise GatewayError(f"{family}/{verb}: '{where}': {wanted}") from error
+        raise GatewayError(f"{family}/{verb}: '{where}': {message_of(first)}") from error

@@ -80,7 +80,8 @@ def _read_csv(paths: Sequence[Path], options: ReadOptions) -> Recording:
 
     if options.columns is None:
         raise GatewayError(
-            "a CSV file of no known maker: name its columns with --columns MAP.yaml (docs/guide/imports.md)"
+            f"{paths[0]} is a CSV file of no known maker: name its columns with --columns MAP.yaml "
+            "(docs/guide/imports.md)"
         )
     if len(paths) > 1:
         raise GatewayError("name the files of several modules in the map ('file:'), and import one")
@@ -187,9 +188,11 @@ def _files_in(paths: Sequence[Path]) -> list[Path]:
     """Return the files themselves; of a folder, those with numbers in them."""
     files = []
     for path in paths:
-        within = sorted(each for each in path.glob("*") if each.suffix.lower() in {".txt", ".csv"})
-        found = within if path.is_dir() else [path]
-        if not found:
-            raise FormatError(f"{path} has no .txt or .csv file in it")
-        files += [each for each in found if each.stem.lower() not in {"license", "readme"}]
+        tables = sorted(each for each in path.glob("*") if each.suffix.lower() in {".txt", ".csv"})
+        within = [each for each in tables if each.stem.lower() not in {"license", "readme"}]
+        if path.is_dir() and not within:
+            folders = sorted(each.name for each in path.glob("*/") if each.is_dir())
+            instead = f": name one of the folders in it ({', '.join(folders[:5])})" if folders else ""
+            raise FormatError(f"{path} has no .txt or .csv file of modules in it{instead}")
+        files += within if path.is_dir() else [path]
     return files

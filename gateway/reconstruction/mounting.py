@@ -139,7 +139,8 @@ def judge_mounting(joints: Joints, agreement: AgreementState, worn: Worn, state:
     """Judge anew how all modules are worn, ``JUDGED_EVERY_S`` after the last time."""
     state.since_s[0] = 0.0
     n = len(joints.sides)
-    now, asked = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1))), _asked(joints, agreement, worn)
+    now = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1)))
+    asked = _asked(joints, agreement, worn, now)
     explained: set[int] = set()
     for i in np.flatnonzero(state.is_doubtful):  # what still holds is not looked for again: that costs most
         asked = _kept(joints, agreement, state, now, asked, explained, int(i))
@@ -178,9 +179,14 @@ def _kept(
     return _explained(joints, agreement, now, asked, Found(0.0, s, partner, 0))
 
 
-def _asked(joints: Joints, agreement: AgreementState, worn: Worn) -> Asked:
-    """Return how the joints agree when all modules are worn as the rig says."""
-    _, turned, power, swing = pairs_of(joints.sides, agreement.pairs).T
+def _asked(joints: Joints, agreement: AgreementState, worn: Worn, now: Arrangement) -> Asked:
+    """Return how the joints agree when all modules are worn as the rig says.
+
+    The disagreement is found as that of every explanation: all that an explanation calls is compiled with the
+    first judgement, not when the first explanation is found, which would stop a running gateway for seconds.
+    """
+    _, _, power, swing = pairs_of(joints.sides, agreement.pairs).T
+    turned = _differences(joints, agreement, now, np.arange(len(joints.sides)))[0]
     is_known = (worn.is_known > 0) & (worn.is_known[joints.sides["parent"]] > 0)
     is_observable = (power >= LEAST_ACCELERATION**2) & is_known
     floor = ARM_OFF**2 * swing + TILT_OFF**2 * power + NOISE**2

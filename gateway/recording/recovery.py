@@ -11,6 +11,7 @@ from mcap.records import Channel, Message
 from devices import recording_format as fmt
 from devices.recording_file import REMEDY, RecordingError, RecordingFile
 from devices.recording_writer import DerivedRecordingWriter
+from gateway.support.whole_files import remedy_of
 
 _MESSAGES_A_FLUSH = 256
 
@@ -45,7 +46,9 @@ def _recovered(
     try:
         messages = _copy(file, target, progress, replaces=replaces)
     except OSError as error:
-        raise RecordingError(f"{target} cannot be written: {error.strerror}") from error
+        remedy = remedy_of(error)
+        what_to_do = "" if remedy is None else f": {remedy}"
+        raise RecordingError(f"{target} cannot be written: {error.strerror}{what_to_do}") from error
     return Recovered(target, messages, (file.defect or "").removesuffix(REMEDY) or None)
 
 

@@ -108,7 +108,7 @@ class Shelf:
             "begun_utc_ns": summary.begun_utc_ns,
             "duration_s": round(summary.duration_s, 2),
             "bytes": summary.bytes,
-            "modules": len(summary.modules),
+            "modules": summary.n_modules,
             "loss_percent": summary.loss_percent,
             "poses": summary.messages.get(fmt.SKELETON, 0),
             "defect": summary.defect,

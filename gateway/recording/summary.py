@@ -23,6 +23,7 @@ from devices.recording_file import (
     most_records,
     plain_json,
 )
+from firmware_protocol import RELAY
 from gateway.errors import GatewayError
 from gateway.recording.reading import Recording
 
@@ -45,6 +46,11 @@ class RecordingSummary:
     """By module id: packets received and lost, as last counted while recording."""
     from_start: bool = False
     defect: str | None = None
+
+    @property
+    def n_modules(self) -> int:
+        """How many modules and devices were heard, without the relay that they sent through."""
+        return len(self.modules.keys() - {str(RELAY)})
 
     @property
     def loss_percent(self) -> float | None:

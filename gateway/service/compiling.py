@@ -180,7 +180,3 @@ def main(step: str) -> None:
         with contextlib.suppress(OSError):
             os.nice(19)  # what waits for it runs meanwhile
         make_ready(name)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1])

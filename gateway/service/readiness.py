@@ -99,6 +99,7 @@ def make_ready(
     parts = [part for part in PARTS if part in needed]
     n_workers = len(os.sched_getaffinity(0))
     n_done, n_steps = itertools.count(1), len(parts) + len(wanted)
+    progress(0, n_steps)
     waiting = queue.SimpleQueue[str]()
     for part in parts:
         waiting.put(part)
@@ -141,7 +142,17 @@ def _run_through(name: str, there: Mapping[str, str]) -> None:
 
 
 def _step(step: str) -> list[str]:
-    return [sys.executable, "-m", "gateway.service.compiling", step]
+    return [sys.executable, "-c", _STEP, step]
+
+
+_STEP = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+from gateway.service.compiling import main
+main(sys.argv[1])
+"""
+"""Ctrl-C reaches all processes of a terminal; a trace of each, which it hit among its imports, helps
+nobody."""
 
 
 def command(name: str) -> list[str]:

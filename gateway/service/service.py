@@ -74,6 +74,14 @@ _LOGGED_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
 
 
+async def _open(link: Link) -> None:
+    """Open a link. Raises ``GatewayError`` for a recording that is not there; other links wait for theirs."""
+    try:
+        await link.open()
+    except LinkError as error:
+        raise GatewayError(f"link '{link.name}': {error}") from error
+
+
 class Service:
     """Runs until cancelled, or until every link has come to its end (recordings do)."""
 
@@ -274,7 +282,7 @@ class Service:
         """Open everything, and pass on what comes.
 
         Raises ``OutputError`` if an output cannot start, ``RecordingError`` if what it is to record cannot be
-        written.
+        written, ``GatewayError`` if a recording that it is to read is not there.
         """
         bound_memory()
         async with self.mqtt, self.side.running(), self.observer.watching():
@@ -336,9 +344,15 @@ class Service:
             await asyncio.sleep(_LAST_POSES_S)
 
     async def _ingest_all(self) -> None:
-        async with asyncio.TaskGroup() as group:
-            for link in self.links:
-                self._ingesting.append(group.create_task(self._ingest(link), name=f"link {link.name}"))
+        try:
+            async with asyncio.TaskGroup() as group:
+                for link in self.links:
+                    self._ingesting.append(group.create_task(self._ingest(link), name=f"link {link.name}"))
+        except ExceptionGroup as failed:
+            # What the user can put right is one line; anything else is told with all that led to it.
+            if (found := failed.subgroup(GatewayError)) is not None and found.exceptions == failed.exceptions:
+                raise found.exceptions[0] from None
+            raise
 
     def _least_charge(self) -> float | None:
         """Return the least charge of all modules, 0 to 1; None: none has reported it."""
@@ -363,7 +377,7 @@ class Service:
 
     async def _ingest(self, link: Link) -> None:
         """Pass on what one link yields, until it ends: link → pipeline → outputs."""
-        await link.open()
+        await _open(link)
         contents = self._contents_of(link)
         for name, content in contents.items():
             self.pipeline.add_link(name, content)

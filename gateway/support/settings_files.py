@@ -76,6 +76,8 @@ def load_yaml(path: Path) -> Any:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not YAML"
+        if isinstance(error, yaml.reader.ReaderError):
+            problem = f"is no text: character {error.position + 1} of it is a control character"
         if r"'\t'" in problem:
             problem = "a tab where spaces are wanted: indent with spaces"
         raise SettingsError(f"{path}:{where} {problem}") from error
@@ -166,10 +168,37 @@ def _explain(problem: Any, model: type[BaseModel]) -> str:
     where = _place(problem["loc"])
     if problem["type"] == "missing":
         return f"'{where}' is missing"
-    pattern = problem.get("ctx", {}).get("pattern", "")
-    message = IN_WORDS.get(pattern, problem["msg"]).removeprefix("Value error, ")
+    message = message_of(problem)
     shown = "…" if _SECRET.search(where) else as_shown(problem["input"])
     return _shortened(f"'{where}' is {shown}: {message}" if where else message, _LONGEST_LINE)
+
+
+def message_of(problem: Any) -> str:
+    """Return what is wrong with a value and what is wanted, of one of pydantic's errors."""
+    limit = problem.get("ctx", {})
+    if "pattern" in limit and limit["pattern"] in IN_WORDS:
+        return IN_WORDS[limit["pattern"]]
+    kind = problem["type"].removesuffix("_type").removesuffix("_parsing")
+    return _WANTED.get(kind) or str(problem["msg"]).removeprefix("Value error, ")
+
+
+_LIST = "a list is wanted: [one, another], or lines that begin with '- '"
+_SECTION = "a section of 'key: value' lines is wanted"
+_WANTED = {
+    "list": _LIST,
+    "tuple": _LIST,
+    "set": _LIST,
+    "frozen_set": _LIST,
+    "dict": _SECTION,
+    "model": _SECTION,
+    "model_attributes": _SECTION,
+    "string": "a text is wanted",
+    "float": "a number is wanted, without its unit",
+    "int": "a whole number is wanted, without a unit",
+    "bool": "true or false is wanted",
+    "too_short": "it has too few entries",
+}
+"""By pydantic's kinds of errors, whose own words are of Python's types."""
 
 
 class _Key(str):

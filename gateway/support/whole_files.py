@@ -19,6 +19,8 @@ _REMEDIES: dict[int | None, str] = {
     errno.EPERM: "you may not write there: name another place, or change its permissions",
     errno.EROFS: "that disk cannot be written: name another place",
     errno.ENOSPC: "the disk is full: make room, or name another place",
+    errno.EFBIG: "no file of that size may lie there, as on a FAT disk or by a limit: name another place",
+    errno.EIO: "the disk reports an error: name another place, and check that disk",
     errno.EDQUOT: "your share of the disk is used up: make room, or name another place",
 }
 

@@ -341,3 +341,52 @@ def test_a_broker_may_be_a_name_or_an_address(host, tmp_path):
     path = tmp_path / "gateway.yaml"
     path.write_text(yaml.safe_dump({**GATEWAY, "mqtt": {"host": host}}))
     assert load_gateway_settings(path).mqtt.host == host
+
+
+@pytest.mark.parametrize(
+    ("setting", "wanted"),
+    [
+        (
+            {"assembly": {"rate_hz": "100 Hz"}},
+            "'assembly.rate_hz' is '100 Hz': a number is wanted, without its",
+        ),
+        ({"mqtt": {"port": "1883/tcp"}}, "'mqtt.port' is '1883/tcp': a whole number is wanted"),
+        ({"mqtt": {"include": "position"}}, "'mqtt.include' is 'position': a list is wanted"),
+        ({"links": "/dev/ttyUSB0"}, "'links' is '/dev/ttyUSB0': a list is wanted"),
+        ({"links": []}, "'links' is \\[\\]: it has too few entries"),
+        ({"rig": None}, "'rig' is None: a text is wanted"),
+        ({"log": "info"}, "'log' is 'info': a section of 'key: value' lines is wanted"),
+        ({"allow_device_writes": "maybe"}, "true or false is wanted"),
+    ],
+)
+def test_a_value_of_another_kind_is_refused_in_words_that_say_what_is_wanted(setting, wanted, tmp_path):
+    """Not in those of Python's types: "a valid frozenset"."""
+    path = tmp_path / "gateway.yaml"
+    path.write_text(yaml.safe_dump({**GATEWAY, **setting}))
+    with pytest.raises(GatewayError, match=wanted):
+        load_gateway_settings(path)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("/dev/ttyUSB0", "serial:///dev/ttyUSB0?baud=115200"),
+        ("udp://0.0.0.0:7000", "udp://0.0.0.0:7000?peers=10.0.0.1"),
+        ("slcan:///dev/ttyACM0", "slcan:///dev/ttyACM0"),
+    ],
+)
+def test_two_links_on_one_port_are_refused(first, second, tmp_path):
+    """The second one would wait for ever for what the first one has."""
+    path = tmp_path / "gateway.yaml"
+    links = [{"name": "left", "url": first}, {"name": "right", "url": second}]
+    path.write_text(yaml.safe_dump({**GATEWAY, "links": links}))
+    with pytest.raises(GatewayError, match="'left' and 'right' name the same port"):
+        load_gateway_settings(path)
+
+
+@pytest.mark.parametrize("url", ["can://socketcan/can0", "/data/walk.mcap?link=a", "udp://:0"])
+def test_a_bus_a_recording_and_any_free_port_may_have_several_links(url, tmp_path):
+    path = tmp_path / "gateway.yaml"
+    links = [{"name": "left", "url": url}, {"name": "right", "url": url}]
+    path.write_text(yaml.safe_dump({**GATEWAY, "links": links}))
+    assert len(load_gateway_settings(path).links) == 2

@@ -123,6 +123,14 @@ def test_help_has_an_example_for_every_command():
         ({"reconstructor_delay_ms": 1e5}, r"'reconstructor_delay_ms' is 100000.*less than or equal to 2000"),
         ({"reconstructor": "articulate"}, r"no such reconstructor \(did you mean 'articulated'\?\)"),
         ({"links": [{"name": "a", "url": "serail:///dev/ttyUSB0"}]}, r"serail.*serial"),
+        (
+            {"links": [{"name": "a", "url": "/dev/ttyUSB0?boud=9600"}]},
+            r"gateway\.yaml: link 'a': url: .*did you mean 'baud'",
+        ),
+        (
+            {"clock": {"mode": "table", "table": "absent.yaml"}},
+            r"gateway\.yaml: 'clock\.table': absent\.yaml: no such file",
+        ),
         ({"mqtt": {"password": "hunter2"}}, r"set MOCAP_MQTT_PASSWORD or password_file"),
     ],
 )
@@ -140,6 +148,19 @@ def test_a_wrong_link_ends_the_service_before_anything_is_opened(tmp_path, gatew
     assert code == 1
     why = "unknown scheme 'serail' (did you mean 'serial'?)"
     assert err == f"mocap-gateway: link 'suit': url: serail:///dev/ttyUSB0: {why}\n"
+
+
+def test_a_recording_that_is_not_there_ends_the_service_in_one_line(tmp_path, gateway):
+    """Of other links the gateway waits for what is away; a trace of the program was the answer here."""
+    links = [
+        {"name": "suit", "url": "udp://127.0.0.1:0"},
+        {"name": "walk", "url": str(tmp_path / "absent.mcap")},
+    ]
+    code, _, err = gateway("run", "-c", write_config(tmp_path, 1, "/dev/null", links=links))
+    assert code == 1
+    why = f"recording {tmp_path / 'absent.mcap'} cannot be read: No such file or directory"
+    assert err.splitlines()[-1] == f"mocap-gateway: link 'walk': {why}"
+    assert "Traceback" not in err
 
 
 def test_a_rig_with_an_unknown_segment_names_the_nearest(tmp_path):

@@ -157,8 +157,9 @@ def test_no_false_alarm_on_a_real_pendulum(recording_set):
 def test_the_best_explanation_is_that_of_trying_all_one_by_one(suit, walk, worn_wrong):
     reconstructor, _ = solved(worn_wrong(walk, suit)[:900], suit)
     joints, worn, agreement = reconstructor._joints, reconstructor._worn, reconstructor._memory.agreement
-    asked, n = mounting._asked(joints, agreement, worn), suit.skeleton.n_segments
+    n = suit.skeleton.n_segments
     now = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1)))
+    asked = mounting._asked(joints, agreement, worn, now)
     best = Found(0.0, mounting.NOBODY, mounting.NOBODY, 0)
     for s, o in itertools.combinations_with_replacement(np.flatnonzero(worn.is_known).tolist(), 2):
         for turn in range(len(worn.turns) if s == o else 1):

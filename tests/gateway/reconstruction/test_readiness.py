@@ -3,8 +3,10 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -180,6 +182,39 @@ print(json.dumps({"compiled": compiled, "poses": poses > 1000}))
 """
 
 
+def test_a_module_worn_wrong_calls_no_kernel_that_was_not_compiled_beforehand():
+    """The first explanation of how it is worn stopped a running suit for five seconds."""
+    done = subprocess.run(
+        [sys.executable, "-c", WORN_WRONG], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == {"later": [], "doubts": [12]}
+
+
+WORN_WRONG = """
+import json
+from devices.emulators.imperfections import TYPICAL
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.link import Chunk, Framing
+from gateway.body.rig import load_rig
+from gateway.emulation.rig import dress, move, worn_wrong
+from gateway.geometry import compiled
+from gateway.pipeline import Pipeline
+from gateway.service import compiling
+compiling._let_through("joint")
+beforehand = set(compiled.called())
+suit = load_rig("suit_lower_7")
+motion = move(worn_wrong(dress(suit), [12], []), suit.skeleton.name, 1)
+pipeline = Pipeline(suit, compiling._PARAMS, "joint")
+pipeline.add_link("suit", Framing.BYTE_STREAM)
+for sent in SuitTraffic(motion, SuitSettings(), TYPICAL, 1).transmissions(14.0):
+    pipeline.feed(Chunk(sent.data, 10**18 + round(sent.time_s * 1e9), "suit"))
+new = set(compiled.called()) - beforehand
+later = [kernel.name for kernel in new if kernel.module.startswith("gateway.reconstruction.")]
+print(json.dumps({"later": later, "doubts": list(pipeline.module_stage.doubts())}))
+"""
+
+
 def test_a_part_that_fails_is_told(empty, monkeypatch):
     monkeypatch.setattr(sys, "executable", shutil.which("false"))
     with pytest.raises(GatewayError, match="compiling failed in the part"):
@@ -190,6 +225,23 @@ def test_an_unknown_method_is_refused_by_the_command():
     done = subprocess.run(readiness.command("magic"), capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "no method is called 'magic'" in done.stderr
+
+
+@pytest.mark.parametrize("after_s", [2.0, 4.0])
+def test_ctrl_c_ends_what_compiles_without_a_trace_of_the_program(after_s, tmp_path):
+    """It reaches all processes of the terminal: whoever ended a first start was shown four traces."""
+    process = subprocess.Popen(
+        readiness.command("joint"),
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+        stderr=subprocess.PIPE,
+        text=True,
+        process_group=0,
+    )
+    time.sleep(after_s)
+    os.killpg(process.pid, signal.SIGINT)
+    _, told = process.communicate(timeout=30)
+    assert process.returncode != 0
+    assert "gateway/" not in told  # Python's own beginning, before anything of ours is read, may be hit
 
 
 def test_a_process_that_compiles_says_nothing_when_the_one_that_asked_has_ended():

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from devices.vendor_formats.sheets import FormatError
 from gateway.body.joint_angles import joint_angles
 from gateway.errors import GatewayError
-from gateway.imports.formats import ReadOptions, read
+from gateway.imports.formats import ReadOptions, detected, read
 from gateway.imports.segment_names import mapped_segments, segment_of
 from gateway.recording import open_recording
 from gateway.recording.difference import difference
@@ -173,3 +173,23 @@ def test_maps_that_cannot_be_are_refused():
     assert mapped_segments({0: "sn-07", 1: "Pelvis", 2: "wrist"}, {"07": "left_thigh"}, known).unknown == (
         "wrist",
     )
+
+
+def test_a_folder_without_files_of_modules_is_said_with_the_folders_in_it(tmp_path):
+    """OpenSense's own example has the files one folder below a licence: an IndexError was the answer."""
+    (tmp_path / "LICENSE.txt").write_text("as you like")
+    (tmp_path / "IMUData").mkdir()
+    options = ReadOptions()
+    with pytest.raises(
+        FormatError, match=r"no \.txt or \.csv file of modules in it.*folders in it \(IMUData\)"
+    ):
+        detected([tmp_path], options)
+    with pytest.raises(FormatError, match="file of modules in it"):
+        read([tmp_path], "xsens", options)
+
+
+def test_a_picture_is_not_taken_for_markers(tmp_path):
+    picture = tmp_path / "page.png"
+    picture.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    with pytest.raises(FormatError, match="has no format that is known"):
+        detected([picture], ReadOptions())

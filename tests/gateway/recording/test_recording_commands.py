@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import resource
+import signal
 import sys
 
 import pytest
@@ -33,6 +35,16 @@ def test_verify_says_identical_or_what_differs(record):
         file.truncate(late.stat().st_size * 2 // 3)
     code, output = typed("replay", late, "--verify")
     assert (code, "identical" in output) == (0, True)
+
+
+def test_a_difference_after_a_damaged_piece_is_put_down_to_that(record):
+    path = record()
+    data = bytearray(path.read_bytes())
+    data[data.index(b"zstd", len(data) // 4) + 40] ^= 0xFF
+    path.write_bytes(data)
+    code, output = typed("replay", path, "--verify")
+    assert code == 1
+    assert "damaged pieces of the recording are missing, 1 up to there" in output
 
 
 def test_a_difference_is_said_with_its_likely_reasons(record, monkeypatch):
@@ -190,6 +202,25 @@ def test_an_output_that_cannot_be_written_is_one_line_with_a_remedy(record, tmp_
     assert "Traceback" not in errors
     assert arguments[-1].partition("/")[0] in line
     assert "folder" in line or "another place" in line
+
+
+def test_a_new_recording_that_finds_no_room_is_said_with_the_place(record, tmp_path):
+    """The answer was "a file: No space left on device"."""
+    path, target = record(), tmp_path / "elsewhere" / "again.mcap"
+    target.parent.mkdir()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size // 2, before[1]))
+    try:
+        code, _, errors = typed_here(["replay", path, "--reconstructor", "independent", "--output", target])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert code == 1
+    assert errors.splitlines()[-1].startswith(
+        f"mocap-gateway: {target.parent}: File too large: no file of that"
+    )
+    assert list(target.parent.iterdir()) == []
 
 
 def test_an_output_without_ending_is_a_folder(record, tmp_path):

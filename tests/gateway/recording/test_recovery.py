@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -10,6 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from devices import recording_format as fmt
 from devices.recording_file import RecordingError, RecordingFile
+from devices.recording_writer import DerivedRecordingWriter
 from gateway.recording import open_recording
 from gateway.recording.recovery import recover, recover_in_place
 from gateway.recording.summary import recordings_in, summarise
@@ -73,6 +77,19 @@ def test_recovering_in_place_keeps_the_file_until_the_new_one_is_whole(whole, tm
     assert [each.name for each in path.parent.iterdir()] == [path.name]
 
 
+def test_a_full_disk_is_said_with_the_remedy_and_the_file_stays(whole, monkeypatch):
+    path, data, _ = whole
+
+    def full(*_arguments, **_named):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(DerivedRecordingWriter, "flush", full)
+    monkeypatch.setattr(DerivedRecordingWriter, "__exit__", full)
+    with pytest.raises(RecordingError, match="the disk is full: make room, or name another place"):
+        recover_in_place(path)
+    assert path.read_bytes() == data
+
+
 def test_what_is_no_recording_is_said(tmp_path, whole):
     path, data, _ = whole
     for name, content in (("empty", b""), ("text", b"hello"), ("magic", data[:8]), ("head", data[:60])):
@@ -119,9 +136,10 @@ def test_folders_are_listed_with_what_is_not_readable(whole):
         list(recordings_in(path.parent / "absent"))
 
 
-def test_a_damaged_first_piece_costs_no_message_of_those_after_it(tmp_path):
-    """A channel is named within its first piece alone; poses of a whole recording were lost with one byte."""
-    path = tmp_path / "damaged.mcap"
+@pytest.fixture
+def ten_pieces(tmp_path):
+    """A recording of ten poses, each a piece of its own, and where the pieces begin."""
+    path = tmp_path / "pieces.mcap"
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=100, compression=CompressionType.ZSTD)
         writer.start(fmt.PROFILE, "test")
@@ -130,10 +148,62 @@ def test_a_damaged_first_piece_costs_no_message_of_those_after_it(tmp_path):
         for k in range(10):
             writer.add_message(channel, k, bytes([k]) * 200, k)
         writer.finish()
+    with path.open("rb") as file:
+        starts = [index.chunk_start_offset for index in make_reader(file).get_summary().chunk_indexes]
+    return path, starts
+
+
+def poses_in(path):
+    """The numbers of the poses that can be read, and the file."""
+    file = RecordingFile(path)
+    found = list(file.messages())
+    assert {message.topic for message in found} <= {fmt.SKELETON}
+    return [message.data[0] for message in found], file
+
+
+def test_a_damaged_first_piece_costs_no_message_of_those_after_it(ten_pieces):
+    """A channel is named within its first piece alone; poses of a whole recording were lost with one byte."""
+    path, _ = ten_pieces
     data = bytearray(path.read_bytes())
     data[data.index(b"zstd") + 30] ^= 0xFF
     path.write_bytes(data)
-    file = RecordingFile(path)
-    found = [(message.topic, message.data[0]) for message in file.messages()]
+    found, file = poses_in(path)
     assert file.damaged_chunks == 1
-    assert found == [(fmt.SKELETON, k) for k in range(1, 10)]
+    assert found == list(range(1, 10))
+
+
+@pytest.mark.parametrize("first", [0, 3])
+def test_a_stretch_of_zeros_costs_what_stood_there_and_nothing_after_it(ten_pieces, tmp_path, first):
+    """A bad sector of the disk: of a recording of 20 s what came after it was lost, and recovering it in
+    place would have thrown that away."""
+    path, starts = ten_pieces
+    data = bytearray(path.read_bytes())
+    begin, end = starts[first] + 5, starts[first + 2] + 20
+    data[begin:end] = bytes(end - begin)
+    path.write_bytes(data)
+    found, file = poses_in(path)
+    assert found == [k for k in range(10) if not first <= k <= first + 2]
+    assert "damaged pieces were left out" in file.defect
+    assert recover_in_place(path).defect == file.defect
+    assert poses_in(path)[0] == found
+
+
+def test_whatever_byte_of_a_head_is_damaged_that_piece_alone_is_lost(ten_pieces):
+    path, starts = ten_pieces
+    data = path.read_bytes()
+    without = [k for k in range(10) if k != 4]
+    for at in range(starts[4], starts[4] + 49):
+        for flip in (0x01, 0x80, 0xFF):
+            path.write_bytes(data[:at] + bytes([data[at] ^ flip]) + data[at + 1 :])
+            assert poses_in(path)[0] in (without, list(range(10)))
+
+
+def test_a_file_that_was_made_to_be_searched_for_ever_is_given_up(ten_pieces, monkeypatch):
+    path, starts = ten_pieces
+    data = path.read_bytes()
+    piece = data[starts[4] : starts[5]]
+    path.write_bytes(data[: starts[4]] + (piece[:-1] + b"\xff" * 20) * 50 + data[starts[5] :])
+    monkeypatch.setattr("devices.recording_file.MOST_GAPS", 10)
+    found, file = poses_in(path)
+    assert len(found) < 20
+    assert "is damaged: read up to byte" in file.defect
