@@ -189,6 +189,7 @@ def open_headings(body: Body, state: State, tuning: Tuning, work: Work) -> None:
         for s in range(root, len(links)):
             if sees and not has_seen and _is_there(links, segments, s, root):
                 segments[s].P[2, 2] += more
+                segments[s].defined_square = 0.0
                 if _is_there(links, segments, links[s].parent, root):
                     segments[s].C[2, 2] += more
 
@@ -243,6 +244,7 @@ def _define_heading(
         segment, p = segments[s], links[s].parent
         if _is_there(links, segments, s, root):
             _subtract_mean(segment.P, with_mean[s], with_mean[s], variance)
+            segment.defined_square += variance
             if _is_there(links, segments, p, root):
                 _subtract_mean(segment.C, with_mean[s], with_mean[p], variance)
 

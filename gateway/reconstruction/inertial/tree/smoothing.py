@@ -25,7 +25,7 @@ from gateway.reconstruction.inertial.tree.tuning import Tuning
 from gateway.reconstruction.inertial.tree.update import inverse_3_into
 
 KEPT = (
-    "R", "started", "heading", "silent_s", "force_bias", "field_watch", "compass", "sun",
+    "R", "started", "heading", "defined_square", "silent_s", "force_bias", "field_watch", "compass", "sun",
     "unaided_square", "felt_square", "zero_rate", "aids_s", "joint_nis", "vibration", "corrections",
 )  # fmt: skip
 

@@ -120,7 +120,7 @@ def _start_covariance(segment: Segment, tilt: float, tuning: Tuning) -> None:
     for i in range(3):
         segment.P[i, i] = tilt
         segment.P[3 + i, 3 + i] = tuning.bias**2
-    segment.P[2, 2] = tuning.unknown_heading**2
+    segment.P[2, 2], segment.defined_square = tuning.unknown_heading**2, 0.0
     # a module that comes back may sit elsewhere
     for i in range(6):
         arms.covariance[i, i] = tuning.lever_arm_offset**2

@@ -231,6 +231,7 @@ class Segment(Record):
 
     started: int  # Started
     heading: int  # Heading
+    defined_square: float  # variance of the heading in the world that (57a) has taken for known, rad²
     silent_s: float  # since the gyroscope's last sample within its range
     gap: Gap
     R: Matrix  # segment to world

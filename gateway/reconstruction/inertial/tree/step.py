@@ -243,9 +243,8 @@ def _advance(
         mark_unaided(body, state, tuning, work, status)
 
         if len(covariance) > 0:
-            is_shown = shows_world(body.segments, state.segments)
             for s in range(n):
-                _own_covariance(covariance[t, s, 0], state.segments[s], body.world, is_shown)
+                _own_covariance(covariance[t, s, 0], state.segments[s], body.world)
                 rotation_matrix.copy_into(covariance[t, s, 1], state.segments[s].published)
         _place(p_w, wearing, q_wb, inputs.root_position[t])
 
@@ -461,19 +460,18 @@ def _outputs(
 
 
 @compiled
-def _own_covariance(P: FloatArray, segment: Segment, world: World, is_world_shown: bool) -> None:
+def _own_covariance(P: FloatArray, segment: Segment, world: World) -> None:
     """Fill P (3, 3) with the covariance of the estimate's orientation error, rad², world axes.
 
     Smoothing weighs estimates by it. Where the field is used the variance of the heading is that of the
-    compass, if that is smaller or nothing else shows the heading in the world.
+    compass, if that is smaller.
     """
     rotation_matrix.copy_into(P, segment.P)
     for i in range(3):
         P[i, i] += segment.gap.missed
     compass = segment.compass
-    if world.uses_field and not is_world_shown and P[2, 2] < compass.error_variance:
-        P[2, 2] = compass.error_variance
-    elif world.uses_field and P[2, 2] > compass.error_variance:
+    P[2, 2] += segment.defined_square
+    if world.uses_field and P[2, 2] > compass.error_variance:
         share = math.sqrt(compass.error_variance / P[2, 2])
         for i in range(3):
             P[2, i] *= share
