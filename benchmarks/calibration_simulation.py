@@ -11,7 +11,6 @@ from devices.emulators.calibrating import WearerFaults, calibration_motion, stra
 from devices.emulators.imperfections import TYPICAL, Imperfections
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
-from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.body_result import BodyResult
 from gateway.calibration.body_session import BodySession
@@ -54,15 +53,6 @@ def imu_frames(
     for sent in traffic.transmissions(PERIOD_S):
         pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), LINK))
     return frames
-
-
-def simulated_session(
-    heading: float, seed: int, *, uses_field: bool = True, faults: WearerFaults | None = None
-) -> tuple[BodySession, EmulatedBody]:
-    """All steps done; and the body as it truly is."""
-    suit = load_rig("suit_17")
-    body = simulated_body(suit, seed)
-    return session_of(suit, imu_frames(suit, body, heading, seed, faults), uses_field), body
 
 
 def session_of(suit: WornSuit, frames: list[ImuFrame], uses_field: bool = True) -> BodySession:

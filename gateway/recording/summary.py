@@ -26,8 +26,6 @@ from devices.recording_file import (
 from gateway.errors import GatewayError
 from gateway.recording.reading import Recording
 
-_LONGEST_ID = 10
-
 
 @dataclass
 class RecordingSummary:
