@@ -87,13 +87,14 @@ def _posture(skeleton: Skeleton, phase: float, heading: float, upside_down: bool
     return np.stack([quaternion.to_matrix(q) for q in posture(skeleton, angles, root)])
 
 
-def ring_of_cameras(n: int, radius: float = 4.0) -> list[Camera]:
-    """Return cameras of 1080 × 1920 pixels with distortion, 1.8 m high about the origin, looking at 0.9 m."""
+def ring_of_cameras(n: int) -> list[Camera]:
+    """Return cameras of 1080 × 1920 pixels with distortion, 4 m around the origin, 1.8 m high,
+    looking at 0.9 m."""
     matrix = np.array([[1500.0, 0.0, 540.0], [0.0, 1500.0, 960.0], [0.0, 0.0, 1.0]])
     cameras = []
     for c in range(n):
         angle = 2 * np.pi * c / n + 0.3
-        place = np.array([radius * np.cos(angle), radius * np.sin(angle), 1.8])
+        place = np.array([4.0 * np.cos(angle), 4.0 * np.sin(angle), 1.8])
         ahead = np.array([0.0, 0.0, 0.9]) - place
         ahead /= np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])

@@ -85,9 +85,9 @@ class _Fits:
         ]
 
 
-def optical_settings(subject: str, rate_hz: float, url: str, name: str = "optical") -> GatewaySettings:
+def optical_settings(subject: str, rate_hz: float, url: str) -> GatewaySettings:
     """Return a configuration that plays a file of markers."""
-    return solved_settings(subject, rate_hz, MarkersLinkSettings(name=LINK, url=url), name)
+    return solved_settings(subject, rate_hz, MarkersLinkSettings(name=LINK, url=url), "optical")
 
 
 def write_solved_trial(

@@ -90,10 +90,9 @@ class VideoCrowd:
         cameras: Sequence[Camera],
         keypoints: KeypointSet,
         n_people: int,
-        options: VideoOptions | None = None,
     ) -> None:
         self._cameras = tuple(cameras)
-        self._make = partial(KeypointTracker, cameras, keypoints, options or VideoOptions())
+        self._make = partial(KeypointTracker, cameras, keypoints, VideoOptions())
         self._people = [_Followed(self._make()) for _ in range(n_people)]
         self.same_as: dict[int, int] = {}
         """People who turned out to be another one, with that one."""
