@@ -30,7 +30,7 @@ from gateway.reconstruction.optical.bundle import (
     with_sigmas,
 )
 from gateway.reconstruction.optical.ghosts import other_sizes
-from gateway.reconstruction.optical.joint_ranges import bent_backwards, shown_joints, turned_about
+from gateway.reconstruction.optical.joint_ranges import impossible_joints, shown_joints
 from gateway.reconstruction.optical.landmarks import (
     Measured,
     SegmentPlaces,
@@ -199,7 +199,7 @@ def fit_body(
     final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
     if progress is not None:
         progress(2, 2)
-    backwards = bent_backwards(marker_set.body, final, done.poses)
+    backwards, turned_about = impossible_joints(marker_set.body, final, done.poses)
     own_labels = tuple(dressed.file_labels[label] for label in markers.labels)
     sized = resized(marker_set, final.offsets, tips)
     return Fit(
@@ -223,7 +223,7 @@ def fit_body(
         other_axes=other_axes,
         backwards=backwards,
         strangers=dressed.strangers,
-        turned=() if backwards else tuple(turned_about(marker_set.body, done.poses)),
+        turned=turned_about,
         is_still=all(_largest_stray(sighting.markers) < _STILL for sighting in sightings),
     )
 
