@@ -181,21 +181,11 @@ def fit_body(
     if progress is not None:
         progress(1, 2)
     bending = [] if options.neutral is not None else _bending(marker_set)
-    begun = Adjusted(evidence.model, evidence.poses, weighted_rmse(evidence.poses), 0)
-    done, tips = turned(begun, skeleton.tips, turns_to_bending(evidence.model, evidence.poses, bending))
-    moved, found = np.zeros(skeleton.n_segments), _Found(done, is_functional=False)
-    if options.centres != "rules":
-        found = _found_in_motion(marker_set, done, evidence.observed, options.centres, bending)
-        done = found.done
-        moved = np.linalg.norm(done.model.offsets - skeleton.offsets, axis=1)
-        if options.neutral is None:
-            done, tips = turned(done, tips, turns_to_rules(done.poses, evidence.axes))
-            done, tips = turned(done, tips, turns_to_bending(done.model, done.poses, bending))
-        else:
-            stood = _standing(sightings[0], markers, marker_set, options.neutral, trials[0])
-            done, tips = _anchored_in_neutral(
-                marker_set, done, evidence.observed, stood, tips, options.centres
-            )
+    stood = None
+    if options.neutral is not None:
+        stood = _standing(sightings[0], markers, marker_set, options.neutral, trials[0])
+    found, tips, moved = _shaped(marker_set, skeleton, evidence, options.centres, bending, stood)
+    done = found.done
     final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
     if progress is not None:
         progress(2, 2)
@@ -273,6 +263,34 @@ class _Found(NamedTuple):
     """Segments whose joints come from a regression, and went as far as it lets them."""
     rmse_free: float = np.nan
     """m, were they let go."""
+
+
+def _shaped(
+    marker_set: MarkerSet,
+    skeleton: Skeleton,
+    evidence: _Evidence,
+    centres: str,
+    bending: Sequence[int],
+    stood: FloatArray | None,
+) -> tuple[_Found, FloatArray, FloatArray]:
+    """Return the body with its joints by motion and rules, its tips (S, 3), m, and how far the motion moved
+    every joint (S,), m.
+
+    stood: frames (n, M, 3) m whose posture gives the axes; None: rules do.
+    """
+    begun = Adjusted(evidence.model, evidence.poses, weighted_rmse(evidence.poses), 0)
+    done, tips = turned(begun, skeleton.tips, turns_to_bending(evidence.model, evidence.poses, bending))
+    if centres == "rules":
+        return _Found(done, is_functional=False), tips, np.zeros(skeleton.n_segments)
+    found = _found_in_motion(marker_set, done, evidence.observed, centres, bending)
+    done = found.done
+    moved = np.linalg.norm(done.model.offsets - skeleton.offsets, axis=1)
+    if stood is None:
+        done, tips = turned(done, tips, turns_to_rules(done.poses, evidence.axes))
+        done, tips = turned(done, tips, turns_to_bending(done.model, done.poses, bending))
+    else:
+        done, tips = _anchored_in_neutral(marker_set, done, evidence.observed, stood, tips, centres)
+    return found._replace(done=done), tips, moved
 
 
 def _found_in_motion(
