@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
+from gateway.body.camera import Camera, project
 from gateway.body.joint_angles import posture
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
 from gateway.frames import CameraHeatMaps, FloatArray, HeatMapFrame
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.video.camera import Camera, project
 from gateway.reconstruction.video.inverse_kinematics import keypoint_places, video_body
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.proportions import PARTS, sized, standard_lengths

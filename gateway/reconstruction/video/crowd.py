@@ -14,9 +14,9 @@ from functools import partial
 
 import numpy as np
 
+from gateway.body.camera import Camera
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, HeatMapFrame
-from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.masking import without_others
 from gateway.reconstruction.video.reconstructor import VideoReconstructor

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.cameras.orders import Joined, Square, encode_orders
+from gateway.body.camera import Camera, project
 from gateway.frames import FloatArray
-from gateway.reconstruction.video.camera import Camera, project
 from gateway.reconstruction.video.regions import person_region, square_of
 
 WHOLE = 0.97

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gateway.body.camera import Camera, project
 from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.video.camera import Camera, project
 from gateway.reconstruction.video.lattice import Maps
 
 

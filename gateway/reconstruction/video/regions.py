@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from devices.cameras.orders import Square
+from gateway.body.camera import Camera, project
 from gateway.frames import FloatArray
-from gateway.reconstruction.video.camera import Camera, project
 from gateway.reconstruction.video.region import PersonRegion, region_of_points
 
 _LEAST_SHARE = 0.4
