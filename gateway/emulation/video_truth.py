@@ -19,8 +19,7 @@ from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.video.inverse_kinematics import keypoint_places, video_body
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.proportions import PARTS, sized, standard_lengths
-from gateway.reconstruction.video.region import PersonRegion
-from gateway.reconstruction.video.regions import person_region
+from gateway.reconstruction.video.region import PersonRegion, person_region
 
 RATE_HZ = 60.0
 CELLS = 64

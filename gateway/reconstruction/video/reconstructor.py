@@ -16,8 +16,7 @@ from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
 from gateway.reconstruction.video.networks.weights import keypoint_set_of
 from gateway.reconstruction.video.posing import SmoothedPoses, no_frame, skeleton_frame, statuses
-from gateway.reconstruction.video.region import PersonRegion
-from gateway.reconstruction.video.regions import person_region
+from gateway.reconstruction.video.region import PersonRegion, person_region
 from gateway.reconstruction.video.tracker import KeypointTracker, VideoOptions
 
 __all__ = [
