@@ -18,8 +18,7 @@ from gateway.batch.kinds import KINDS, REPORT
 from gateway.cli.options import AsJson, refuse_existing
 from gateway.cli.solving_options import SolvedOtherwise, with_solving
 from gateway.cli.terminal import progress_bar
-from gateway.recording.exporters.axes import Axes
-from gateway.recording.exporters.formats import FORMATS
+from gateway.recording.exporters.formats import FORMATS, Axes
 from gateway.settings import check_method
 
 if TYPE_CHECKING:

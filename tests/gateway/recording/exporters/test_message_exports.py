@@ -24,8 +24,7 @@ from gateway.frames import FloatArray
 from gateway.recording import open_recording
 from gateway.recording.exporters import foxglove as of_foxglove
 from gateway.recording.exporters import ros2
-from gateway.recording.exporters.axes import Axes
-from gateway.recording.exporters.formats import FORMATS
+from gateway.recording.exporters.formats import FORMATS, Axes
 from gateway.recording.exporters.message_file import samples_of
 from gateway.recording.exporters.take import Take, take_of
 from tests.gateway.recording.exporters.test_exported_files import ARRAYS
