@@ -18,3 +18,11 @@ IN_WORDS = {
     PLAIN_NAME: "a name of letters a to z, digits, '-' and '_' is wanted",
 }
 """What to write instead, by the pattern that a name does not fit."""
+
+
+_REPLACED = "\N{REPLACEMENT CHARACTER}"
+
+
+def printable(text: str) -> str:
+    """Return a text without what a terminal would obey: control characters, escapes, changes of direction."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else _REPLACED for c in text)
