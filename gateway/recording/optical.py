@@ -30,8 +30,8 @@ from gateway.recording.imported import add_solved, imported_session, origin_even
 from gateway.recording.reading import Progress
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import MarkersLinkSettings
 from gateway.sources.markers import MarkerFrames
-from gateway.sources.markers_link_settings import MarkersLinkSettings
 from gateway.stages.markers import MarkerStage
 
 LINK = "markers"
