@@ -1,4 +1,4 @@
-"""What the configuration says of one link. A source with settings of its own extends this."""
+"""What the configuration says of one link. The source of another maker's modules extends this where it is."""
 
 from __future__ import annotations
 

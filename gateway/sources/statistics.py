@@ -1,4 +1,5 @@
-"""What is counted of every module."""
+"""What is counted of every module, and why samples were lost on their way: by what happened on the link
+between the packets around the gap."""
 
 from __future__ import annotations
 
@@ -247,7 +248,7 @@ class ModuleRecord(Row):
 
     @property
     def lost_by(self) -> dict[str, int]:
-        """Lost packets by cause (``gateway.sources.statistics``)."""
+        """Lost packets by cause (``Cause``)."""
         return {
             cause.name.lower(): sum(counter.lost_by[cause] for counter in self.sequences.values())
             for cause in Cause

@@ -13,6 +13,9 @@ from gateway.errors import GatewayError
 from gateway.support.extras import require_package
 from gateway.support.whole_files import replacing_by_name, writing
 
+if TYPE_CHECKING:
+    from gateway.recording.exporters.take import Take
+
 
 class Axes(StrEnum):
     """World axes of an export. Segment axes never change: x anterior, y superior, z to the right."""
@@ -21,10 +24,6 @@ class Axes(StrEnum):
     """East, north, up: as published."""
     Y_UP = "y-up"
     """x east, y up, z south: BVH, glTF, OpenSim."""
-
-
-if TYPE_CHECKING:
-    from gateway.recording.exporters.take import Take
 
 
 @dataclass(frozen=True)
