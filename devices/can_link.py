@@ -56,11 +56,6 @@ class CanLink:
         self._bus: can.BusABC | None = None
         self._reader: ReaderThread | None = None
 
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes of records dropped since opening because the reader was too far behind."""
-        return self._arrivals.dropped_bytes
-
     async def open(self) -> None:
         """Open the bus in a thread and begin to read it. Raises ``LinkError``: no such adapter or channel."""
         if self._bus is not None:

@@ -31,11 +31,6 @@ class Rfc2217Link:
         self._port: serial.Serial | None = None
         self._reader: ReaderThread | None = None
 
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes dropped since opening because the reader was too far behind."""
-        return self._arrivals.dropped_bytes
-
     async def open(self) -> None:
         """Connect in a thread, set the far port up, and begin to read. Raises ``LinkError``."""
         if self._port is not None:
