@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from devices.link import SUIT
+from gateway.support.settings_files import Strict
 
 _CARRIED = {"qtm": "markers", "markers": "markers", "mqtt": "heat_maps"}
 """What links of some schemes carry, and nothing else."""
@@ -17,10 +18,8 @@ def has_credentials(url: object) -> bool:
     return isinstance(url, str) and "@" in url.partition("://")[2].partition("/")[0]
 
 
-class LinkSettings(BaseModel):
+class LinkSettings(Strict):
     """One serial port, CAN bus, socket or recording."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field(min_length=1, max_length=100, description="short name for logs and statistics")
     url: str = Field(
