@@ -11,7 +11,7 @@ from benchmarks.analysis_trials import CUTOFF_HZ, GRAVITY, AnalysedTrial, rms
 from gateway.analysis.analysing import analyse
 from gateway.analysis.live import LiveMuscles
 from gateway.analysis.muscles import find_muscles
-from gateway.recording.exporters.axes import Axes
+from gateway.recording.exporters.formats import Axes
 from gateway.recording.exporters.take import take_of
 
 _EVERY_S = 0.05

@@ -17,7 +17,7 @@ from gateway.analysis.plates import measured_floor
 from gateway.analysis.smooth_motion import smooth_motion
 from gateway.analysis.tension import TensionSolver
 from gateway.body.joint_angles import joint_angles
-from gateway.recording.exporters.axes import Axes
+from gateway.recording.exporters.formats import Axes
 from gateway.recording.exporters.take import take_of
 
 _REPEATS = 3

@@ -7,11 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from devices.calibration_script import PERIOD_S, timetable
 from devices.emulators.bodies import EmulatedBody
-from devices.emulators.calibrating import WearerFaults, calibration_motion, strapped_on
-from devices.emulators.imperfections import TYPICAL, Imperfections
+from devices.emulators.calibrating import calibration_motion, strapped_on
+from devices.emulators.imperfections import TYPICAL
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
-from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.body_result import BodyResult
 from gateway.calibration.body_session import BodySession
@@ -35,15 +34,13 @@ def imu_frames(
     body: EmulatedBody,
     heading: float,
     seed: int,
-    faults: WearerFaults | None = None,
-    imperfections: Imperfections = TYPICAL,
 ) -> list[ImuFrame]:
     """What the gateway assembles of the whole script, by its own clock: motion time is gateway time."""
-    motion = calibration_motion(body, seed, heading, faults)
+    motion = calibration_motion(body, seed, heading)
     settings = SuitSettings(
         sampling_rate_hz=RATE_HZ, gravity=suit.gravity, magnetic_field=suit.magnetic_field, is_fine=True
     )
-    traffic = SuitTraffic(motion, settings, imperfections, seed)
+    traffic = SuitTraffic(motion, settings, TYPICAL, seed)
     pipeline = Pipeline(
         suit, AssemblyParams(1e9 / RATE_HZ, 50_000_000, 100_000_000, 500_000_000), "independent",
         ClockMode.ESTIMATED,
@@ -54,15 +51,6 @@ def imu_frames(
     for sent in traffic.transmissions(PERIOD_S):
         pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), LINK))
     return frames
-
-
-def simulated_session(
-    heading: float, seed: int, *, uses_field: bool = True, faults: WearerFaults | None = None
-) -> tuple[BodySession, EmulatedBody]:
-    """All steps done; and the body as it truly is."""
-    suit = load_rig("suit_17")
-    body = simulated_body(suit, seed)
-    return session_of(suit, imu_frames(suit, body, heading, seed, faults), uses_field), body
 
 
 def session_of(suit: WornSuit, frames: list[ImuFrame], uses_field: bool = True) -> BodySession:

@@ -12,8 +12,7 @@ import numpy as np
 from benchmarks.figures import Figure, table
 from gateway.clocks import EstimatedClock
 from gateway.frames import FloatArray, IntArray
-from gateway.sources.losses import LinkLosses
-from gateway.sources.statistics import SequenceCounter
+from gateway.sources.statistics import LinkLosses, SequenceCounter
 
 DATA = Path(os.environ.get("MOCAP_DATA") or Path(__file__).parents[2] / "shared" / "data")
 JITTER_US = 1000.0

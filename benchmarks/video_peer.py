@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter, filtfilt
 
+from gateway.body.camera import Camera
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.initial import LEAST_LIKELIHOOD, nearest_to_rays
 from gateway.reconstruction.video.projection import camera_model, ray, undistorted
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from benchmarks.people_apart import people_apart
 from devices.cameras.pictures import Picture, open_pictures
+from gateway.body.camera import Camera, project
 from gateway.calibration.cameras_import import import_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.frames import CameraHeatMaps, FloatArray, HeatMapFrame
 from gateway.geometry import quaternion
-from gateway.reconstruction.video.camera import Camera, project
 from gateway.reconstruction.video.initial import centroids
 from gateway.reconstruction.video.inverse_kinematics import keypoint_places, video_body
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.figures import Figure
+from gateway.body.camera import Camera
 from gateway.calibration.cameras_import import import_cameras
 from gateway.emulation.video_truth import KnownPerson, rendered, ring_of_cameras, true_regions, walking
 from gateway.frames import FloatArray
-from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.crowd import VideoCrowd
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.offline import reconstruct_recorded

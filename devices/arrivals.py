@@ -30,8 +30,6 @@ class Arrivals:
 
     def __init__(self, link: str, limit_bytes: int = LIMIT_BYTES, counts: LinkCounts | None = None) -> None:
         """Begin empty; ``counts`` are the link's, which go on from one connection to the next."""
-        self.dropped_chunks = 0
-        self.dropped_bytes = 0
         self._counts = counts or LinkCounts()
         self._link = link
         self._limit_bytes = limit_bytes
@@ -72,8 +70,6 @@ class Arrivals:
         while self._waiting_bytes > self._limit_bytes and len(self._chunks) > 1:
             oldest = self._chunks.popleft()
             self._waiting_bytes -= len(oldest.data)
-            self.dropped_chunks += 1
-            self.dropped_bytes += len(oldest.data)
             self._counts.behind += len(oldest.data)
             self._counts.waiting -= len(oldest.data)
         if self._reader is not None and not self._reader.done():

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import can
 
-from devices.arrivals import Arrivals
 from devices.known_names import nearest
-from devices.link import Chunk, Framing, LinkError
-from devices.link_counts import LinkCounts
-from devices.reader_thread import ReaderThread, open_in_thread
+from devices.link import Framing, LinkError
+from devices.reader_thread import ThreadLink
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
 
 # How long the reading thread may take to notice that the link is being closed.
@@ -22,7 +20,7 @@ _SEND_TIMEOUT_S = 1.0
 _BATCH = 64
 
 
-class CanLink:
+class CanLink(ThreadLink[can.BusABC]):
     """CAN frame records of one python-can bus, read in a thread of its own.
 
     (python-can's own asyncio reader takes one frame a wake-up and falls behind in bursts.)
@@ -46,59 +44,24 @@ class CanLink:
         """
         if interface not in can.VALID_INTERFACES:
             raise ValueError(_unknown_interface(interface))
-        self.name = name or f"can://{interface}/{channel}"
+        super().__init__(name or f"can://{interface}/{channel}")
         self.interface = interface
         self.channel = channel
         wanted = {"bitrate": bitrate, "data_bitrate": data_bitrate, "fd": fd or None}
         self._settings: dict[str, Any] = {key: value for key, value in wanted.items() if value is not None}
-        self.counts = LinkCounts()
-        self._arrivals = Arrivals.never_opened(self.name)
-        self._bus: can.BusABC | None = None
-        self._reader: ReaderThread | None = None
-
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes of records dropped since opening because the reader was too far behind."""
-        return self._arrivals.dropped_bytes
-
-    async def open(self) -> None:
-        """Open the bus in a thread and begin to read it. Raises ``LinkError``: no such adapter or channel."""
-        if self._bus is not None:
-            raise LinkError(f"{self.name} is already open")
-        bus = await open_in_thread(self._open_bus, lambda bus: bus.shutdown())
-        self._bus = bus
-        self._arrivals = Arrivals(self.name, counts=self.counts)
-        self._reader = ReaderThread(self.name, lambda: _waiting_records(bus), self._arrivals)
-
-    def __aiter__(self) -> AsyncIterator[Chunk]:
-        return self._arrivals
 
     async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Send CAN frame records. Raises ``LinkError`` when the bus is closed, lost or does not take them."""
-        if self._bus is None or self._arrivals.has_ended:
-            raise self._arrivals.error or LinkError(f"{self.name} is closed")
+        bus = self._in_use()
         messages = [message_of(frame) for frame in unpack_can_records(data)]
         try:
-            await asyncio.to_thread(_send_all, self._bus, messages)
+            await asyncio.to_thread(_send_all, bus, messages)
         except Exception as error:  # drivers raise all kinds
             raise LinkError(
                 f"{self.name} did not send ({error}): is another node on the bus, at the same bit rate?"
             ) from error
 
-    async def close(self) -> None:
-        """End the reader, then the bus; does nothing on a closed link."""
-        bus, reader = self._bus, self._reader
-        # Before anything is awaited: a second close, or a write meanwhile, finds nothing.
-        self._bus = self._reader = None
-        self._arrivals.end()
-        try:
-            if reader is not None:
-                await reader.stop()
-        finally:
-            if bus is not None:
-                await asyncio.to_thread(bus.shutdown)
-
-    def _open_bus(self) -> can.BusABC:
+    def _open(self) -> can.BusABC:
         try:
             return can.Bus(interface=self.interface, channel=self.channel, **self._settings)
         except can.CanInterfaceNotImplementedError as error:
@@ -110,18 +73,19 @@ class CanLink:
                 f"{self.name} cannot be opened ({error}): check the adapter, its driver and channel"
             ) from error
 
+    def _read(self, opened: can.BusABC) -> bytes:
+        messages = []
+        message = opened.recv(_RECEIVE_TIMEOUT_S)
+        while message is not None:
+            messages.append(message)
+            # A bus that is never idle must not keep the batch from being handed over.
+            if len(messages) == _BATCH:
+                break
+            message = opened.recv(0)
+        return pack_can_records(map(frame_of, messages))
 
-def _waiting_records(bus: can.BusABC) -> bytes:
-    """Return what has arrived, at most ``_BATCH`` messages, as records; wait a little for the first."""
-    messages = []
-    message = bus.recv(_RECEIVE_TIMEOUT_S)
-    while message is not None:
-        messages.append(message)
-        # A bus that is never idle must not keep the batch from being handed over.
-        if len(messages) == _BATCH:
-            break
-        message = bus.recv(0)
-    return pack_can_records(map(frame_of, messages))
+    def _close(self, opened: can.BusABC) -> None:
+        opened.shutdown()
 
 
 def _unknown_interface(interface: str) -> str:

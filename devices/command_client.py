@@ -54,16 +54,11 @@ class CommandClient:
         links: Iterable[Link],
         *,
         allow_writes: bool = False,
-        first_transaction: int | None = None,
-        clock_ns: Callable[[], int] = gateway_time_ns,
     ) -> None:
-        """Prepare to ask; ``first_transaction`` None begins at random, so that no device takes it for an old
-        one.
-        """
+        """Prepare to ask. Numbers begin at random, so that no device takes one for an old one."""
         self.links = {link.name: link for link in links}
         self.allow_writes = allow_writes
-        first = secrets.randbelow(2**16) if first_transaction is None else first_transaction
-        self.transactions = Transactions(first)
+        self.transactions = Transactions(secrets.randbelow(2**16))
         self.link_of: dict[bytes, str] = {}
         """Link that each device was last heard on, by unique id."""
         self.sender_of: dict[bytes, str] = {}
@@ -76,7 +71,6 @@ class CommandClient:
         """Newest health by module id."""
         self.on_sent: Callable[[SentChunk], None] | None = None
         """Called with everything that was written to a link."""
-        self._clock_ns = clock_ns
         self._decoders: dict[str, LinkDecoder] = {}  # of links that are read here
         self._sequences: Counter[int] = Counter()
         self._answered: dict[int, asyncio.Event] = {}
@@ -224,7 +218,7 @@ class CommandClient:
         target = exchange.target
         sequence = self._sequences[target]
         self._sequences[target] = (sequence + 1) % 2**16
-        frame = wire_frame(exchange.command, target, sequence, self._clock_ns() // 1000 % 2**32)
+        frame = wire_frame(exchange.command, target, sequence, gateway_time_ns() // 1000 % 2**32)
         link = None if device is None else self.link_of.get(device)
         sender = "" if device is None else self.sender_of.get(device, "")
         # A device that has moved to another link must still be found: then all links are tried.
@@ -232,7 +226,7 @@ class CommandClient:
         unsent = LinkError("there is no link to send a command on: configure one")
         failures = 0
         for each in chosen:
-            sent = SentChunk(host_bytes(frame, each.framing), self._clock_ns(), each.name)
+            sent = SentChunk(host_bytes(frame, each.framing), gateway_time_ns(), each.name)
             try:
                 async with asyncio.timeout(_SEND_TIMEOUT_S):
                     # A link whose other end reads nothing must not keep commands from the others.
@@ -248,7 +242,7 @@ class CommandClient:
         return unsent if failures == len(chosen) else None
 
     def _now_s(self) -> float:
-        return self._clock_ns() * 1e-9
+        return gateway_time_ns() * 1e-9
 
 
 def host_bytes(frame: WireFrame, framing: Framing) -> bytes:

@@ -20,7 +20,6 @@
 from __future__ import annotations
 
 import ipaddress
-import math
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -34,7 +33,7 @@ from devices.known_names import nearest
 from devices.link import Link, LinkError, LiveLink
 from devices.listening import Network
 from devices.recording_format import SUFFIX
-from devices.replay_link import ReplayLink
+from devices.replay_link import ReplayLink, speed_from
 from devices.rfc2217_link import Rfc2217Link
 from devices.serial_link import DEFAULT_BAUD, SerialLink
 from devices.signed_link import SignedLink, read_key
@@ -86,18 +85,6 @@ def _flag(text: str) -> bool:
     if text.lower() not in values:
         raise ValueError("1 or 0 is needed")
     return values[text.lower()]
-
-
-def _speed(text: str) -> float | None:
-    if text == "max":
-        return None
-    try:
-        speed = float(text)
-    except ValueError:
-        speed = math.nan
-    if not 0 < speed < math.inf:
-        raise ValueError("a number above 0, or max, is needed")
-    return speed
 
 
 def _networks(text: str) -> tuple[Network, ...]:
@@ -201,9 +188,9 @@ _SCHEMES = {
         "slcan:///dev/ttyACM0?bitrate=1000000&fd=1", _slcan, {"baud": _whole_number, **_CAN_PARAMETERS}
     ),
     "can": _Scheme("can://socketcan/can0?fd=1", _can, _CAN_PARAMETERS),
-    "markers": _Scheme("markers:///path/walk.c3d?speed=1", _marker_file, {"speed": _speed}),
+    "markers": _Scheme("markers:///path/walk.c3d?speed=1", _marker_file, {"speed": speed_from}),
     "qtm": _Scheme("qtm://host:22223", _qtm, {"version": _version}),
-    "recording": _Scheme("recording:///path.mcap?speed=max", _recording, {"speed": _speed, "link": str}),
+    "recording": _Scheme("recording:///path.mcap?speed=max", _recording, {"speed": speed_from, "link": str}),
 }
 
 

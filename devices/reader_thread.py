@@ -5,13 +5,68 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-from collections.abc import Callable
-from typing import TypeVar
+from abc import ABC, abstractmethod
+from collections.abc import AsyncIterator, Callable
+from typing import Generic, TypeVar
 
 from devices.arrivals import Arrivals
-from devices.link import LinkError, gateway_time_ns
+from devices.link import Chunk, LinkError, gateway_time_ns
+from devices.link_counts import LinkCounts
 
 T = TypeVar("T")
+
+
+class ThreadLink(ABC, Generic[T]):
+    """A link by a library that can only block: opened, read and closed in threads."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.counts = LinkCounts()
+        self._arrivals = Arrivals.never_opened(name)
+        self._opened: T | None = None
+        self._reader: ReaderThread | None = None
+
+    async def open(self) -> None:
+        """Open in a thread and begin to read. Raises ``LinkError``."""
+        if self._opened is not None:
+            raise LinkError(f"{self.name} is already open")
+        self._opened = opened = await open_in_thread(self._open, self._close)
+        self._arrivals = Arrivals(self.name, counts=self.counts)
+        self._reader = ReaderThread(self.name, lambda: self._read(opened), self._arrivals)
+
+    def __aiter__(self) -> AsyncIterator[Chunk]:
+        return self._arrivals
+
+    async def close(self) -> None:
+        """End the reader, then what it read; does nothing on a closed link."""
+        opened, reader = self._opened, self._reader
+        # Before anything is awaited: a second close, or a write meanwhile, finds nothing.
+        self._opened = self._reader = None
+        self._arrivals.end()
+        try:
+            if reader is not None:
+                await reader.stop()
+        finally:
+            if opened is not None:
+                await asyncio.to_thread(self._close, opened)
+
+    def _in_use(self) -> T:
+        """Return what can be written to. Raises ``LinkError`` when it is closed or lost."""
+        if self._opened is None or self._arrivals.has_ended:
+            raise self._arrivals.error or LinkError(f"{self.name} is closed")
+        return self._opened
+
+    @abstractmethod
+    def _open(self) -> T:
+        """Return what was opened; may block. Raises ``LinkError``."""
+
+    @abstractmethod
+    def _read(self, opened: T) -> bytes:
+        """Return what has arrived, after waiting briefly for the first of it."""
+
+    @abstractmethod
+    def _close(self, opened: T) -> None:
+        """Give back what was opened; may block."""
 
 
 class ReaderThread:

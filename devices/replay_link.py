@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,19 @@ _log = logging.getLogger(__name__)
 
 # At full speed other tasks still get their turn every so many messages.
 _MESSAGES_A_TURN = 32
+
+
+def speed_from(text: str) -> float | None:
+    """Return a factor; None for as fast as possible. Raises ``ValueError``."""
+    if text == "max":
+        return None
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = math.nan
+    if not 0 < speed < math.inf:
+        raise ValueError("a number above 0, or max, is needed")
+    return speed
 
 
 class ReplayLink:

@@ -39,11 +39,6 @@ class SerialLink:
         self._write_turn = asyncio.Lock()
         self._writable: asyncio.Future[None] | None = None
 
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes dropped since opening because the reader was too far behind."""
-        return self._arrivals.dropped_bytes
-
     async def open(self) -> None:
         """Open the port raw at its baud rate. Raises ``LinkError``: absent, forbidden, busy, no such rate."""
         if self._descriptor is not None:

@@ -68,11 +68,6 @@ class SocketCanLink:
         self._arrivals = Arrivals.never_opened(self.name)
         self._socket: socket.socket | None = None
 
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes of records dropped since opening because the reader was too far behind."""
-        return self._arrivals.dropped_bytes
-
     async def open(self) -> None:
         """Bind to the interface. Raises ``LinkError``: absent, down, no rights, or bus-off."""
         if self._socket is not None:

@@ -69,11 +69,6 @@ class TcpLink:
         self._arrivals = Arrivals.never_opened(self.name)
         self._connection: _Connection | None = None
 
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes dropped since opening because the reader was too far behind."""
-        return self._arrivals.dropped_bytes
-
     async def open(self) -> None:
         """Connect. Raises ``LinkError``: refused, not reachable, no such name, or too slow."""
         if self._connection is not None and not self._arrivals.has_ended:

@@ -47,11 +47,6 @@ class TcpListenLink:
         host, port, *_ = self._server.sockets[0].getsockname()
         return str(host), int(port)
 
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes dropped since opening because the reader was too far behind."""
-        return self._arrivals.dropped_bytes
-
     async def open(self) -> None:
         """Listen on the address. Raises ``LinkError``: taken, or none of this machine's."""
         if self._server is not None:

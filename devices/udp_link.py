@@ -64,11 +64,6 @@ class UdpLink:
         host, port, *_ = self._open_socket().getsockname()
         return str(host), int(port)
 
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes dropped since opening because the reader was too far behind."""
-        return self._arrivals.dropped_bytes
-
     async def open(self) -> None:
         """Listen on the address. Raises ``LinkError``: taken, or none of this machine's."""
         if self._socket is not None:

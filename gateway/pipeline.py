@@ -2,8 +2,8 @@
 
     link → chunk → source → observations → stage → frames of one instant → reconstructor → pose → outputs
 
-A ``Source`` takes the bytes of one kind of link (``gateway.sources.SOURCES``), a ``Stage`` one kind of
-observation (``gateway.stages.STAGES``). ``Pipeline`` puts them together, and knows none of them by name.
+A ``Source`` takes the bytes of one kind of link (``gateway.sources.registry``), a ``Stage`` one kind of
+observation (``gateway.stages.registry``). ``Pipeline`` puts them together, and knows none of them by name.
 
 It is sans-I/O and deterministic: fed the same chunks with the same arrival times, and told in the same order
 what the gateway sent and when (``sent``) and what was asked of it (``event``), it gives the same skeleton

@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Discriminator,
     Field,
     Tag,
@@ -41,7 +39,7 @@ from gateway.sources.registry import SOURCES, refuse_unsuited
 from gateway.support.credentials import AccessToken, token_for
 from gateway.support.log_format import LogFormat
 from gateway.support.names import PLAIN_NAME, RECORDING_NAME
-from gateway.support.settings_files import load_settings, load_yaml
+from gateway.support.settings_files import Strict, load_settings, load_yaml
 
 METRICS_TOKEN_VARIABLE = "MOCAP_METRICS_TOKEN"
 """Environment variable that may hold the token of metrics and health."""
@@ -96,11 +94,7 @@ else:
 """Those of the source that reads what the link carries."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ClockSettings(_Strict):
+class ClockSettings(Strict):
     """How module time becomes gateway time."""
 
     mode: ClockMode = Field(
@@ -145,7 +139,7 @@ class ClockSettings(_Strict):
         return self
 
 
-class AssemblySettings(_Strict):
+class AssemblySettings(Strict):
     """How samples of many modules become frames of one instant."""
 
     rate_hz: float = Field(default=100, gt=0, le=4000, description="skeleton frames a second")
@@ -174,7 +168,7 @@ class AssemblySettings(_Strict):
         )
 
 
-class RootMotionSettings(_Strict):
+class RootMotionSettings(Strict):
     """Whether the body moves through the world."""
 
     mode: RootMode = Field(
@@ -195,7 +189,7 @@ class RootMotionSettings(_Strict):
         return RootSettings(self.mode, self.floor == "level", self.floor_height_m)
 
 
-class ModuleReportSettings(_Strict):
+class ModuleReportSettings(Strict):
     """What is published of every module."""
 
     state_interval_s: float = Field(
@@ -206,7 +200,7 @@ class ModuleReportSettings(_Strict):
     )
 
 
-class MetricsSettings(_Strict):
+class MetricsSettings(Strict):
     """Prometheus metrics and a health check over HTTP."""
 
     port: int | None = Field(
@@ -231,7 +225,7 @@ class MetricsSettings(_Strict):
         )
 
 
-class RecordingSettings(_Strict):
+class RecordingSettings(Strict):
     """What is kept of a capture, and where."""
 
     at_start: bool = Field(
@@ -276,7 +270,7 @@ class RecordingSettings(_Strict):
     )
 
 
-class BodySettings(_Strict):
+class BodySettings(Strict):
     """One more person whose markers come by the same links."""
 
     name: str = Field(
@@ -289,7 +283,7 @@ class BodySettings(_Strict):
     )
 
 
-class LogSettings(_Strict):
+class LogSettings(Strict):
     """Logging."""
 
     level: Literal["debug", "info", "warning", "error"] = "info"
@@ -310,7 +304,7 @@ PushedSection = Literal[
 """What others may be allowed to change: nothing by which data go elsewhere, or a gateway is out of reach."""
 
 
-class GatewaySettings(_Strict):
+class GatewaySettings(Strict):
     """Everything."""
 
     gateway: str = Field(

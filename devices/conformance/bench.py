@@ -52,7 +52,6 @@ class Bench:
         self.link = link
         self.decoder = LinkDecoder(link.framing)
         self.packets: list[ArrivedPacket] = []
-        self.allows_writes = False
         self.is_lost: str | None = None
         """Why the link is no longer read."""
         # From the time, since the module may still remember answers to the numbers of an earlier run.

@@ -157,7 +157,6 @@ class Plan:
 
     times: FloatArray
     pelvis: FloatArray  # (T, 3)
-    R_pelvis: Rotation
     heading: FloatArray  # (T,)
     turns: dict[str, FloatArray] = field(default_factory=dict)
     """Segment to (T, 3) angles about x, y, z, rad."""
@@ -294,7 +293,7 @@ def plan_of(
     feet = {side: _feet(legs[side], 1.0 if side == "right" else -1.0, course, stride, times) for side in legs}
     pelvis[:, 1] -= _giving_way(legs, feet, pelvis, R_pelvis, amount)
 
-    plan = Plan(times, pelvis, R_pelvis, heading)
+    plan = Plan(times, pelvis, heading)
     for side, leg in legs.items():
         ankle, foot_heading, foot_pitch = feet[side]
         turned = leg_angles_of(leg, pelvis, R_pelvis, ankle, foot_turn(foot_heading, foot_pitch))

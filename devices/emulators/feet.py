@@ -64,7 +64,7 @@ def _stride(foot: Foot, stance: int, phase: FloatArray) -> tuple[FloatArray, Flo
     here, yaw = foot.place(stance)
     there, next_yaw = foot.place(stance + 1)
     off, strike = (
-        _lifted(foot, where, facing, pitch, at, pivot)
+        _lifted(where, facing, pitch, at, pivot)
         for where, facing, at, pivot in (
             (here, yaw, gait.toe_off, foot.leg.toe),
             (there, next_yaw, 0.0, foot.leg.heel),
@@ -84,7 +84,7 @@ def _stride(foot: Foot, stance: int, phase: FloatArray) -> tuple[FloatArray, Flo
         (foot.leg.toe, stands & (phase >= gait.flat_to)),
     ):
         for i in np.flatnonzero(chosen):
-            ankle[i] = _lifted(foot, here, yaw, pitch, phase[i], pivot)[0]
+            ankle[i] = _lifted(here, yaw, pitch, phase[i], pivot)[0]
     # A polynomial whose first three derivatives vanish at both ends.
     turn = part**4 * (35.0 - 84.0 * part + 70.0 * part**2 - 20.0 * part**3)
     return ankle, yaw + turn * (next_yaw - yaw), pitch(phase)
@@ -106,9 +106,7 @@ def _pitch(gait: Gait) -> BPoly:
     return BPoly.from_derivatives(knots, values)
 
 
-def _lifted(
-    foot: Foot, where: FloatArray, yaw: float, pitch: BPoly, phase: float, pivot: FloatArray
-) -> list[FloatArray]:
+def _lifted(where: FloatArray, yaw: float, pitch: BPoly, phase: float, pivot: FloatArray) -> list[FloatArray]:
     """Return the ankle of a foot pitched about a still point (forward, up), with derivatives by phase."""
     angle, rate, change, jerk = (float(pitch(phase, order)) for order in range(4))
     c, s = np.cos(angle), np.sin(angle)

@@ -31,7 +31,6 @@ SIZE = 16 << 20
 _N_SLOTS = 3
 """Two of settings and one that counts starts."""
 _RESETS = 2 * SLOT_SIZE
-_FACTORY_PAGE = _N_SLOTS * SLOT_SIZE
 _MOTION = 0x2000
 _ERASED = 0xFF
 _LARGEST = 32767

@@ -39,18 +39,16 @@ class BodyMotion:
         joint_angles: JointAngles,
         root_path: RootPath | None = None,
         fade: Fade | None = None,
-        rotation_order: tuple[int, int, int] = ISB_ORDER,
     ) -> None:
         """Move a body.
 
         joint_angles: S rows, rotations of each segment against its parent about x, y, z of its own axes, rad.
         root_path: one row, the root's joint in the world, m. Default: it stays at the origin.
         fade: how long the body rests in its reference posture and how it sets off.
-        rotation_order: order of the rotations of a joint.
         """
         self.body = body
         path = waves(1, []) if root_path is None else root_path
-        self._kinematics = TreeKinematics(body, joint_angles, path, fade or Fade(), rotation_order)
+        self._kinematics = TreeKinematics(body, joint_angles, path, fade or Fade(), ISB_ORDER)
 
     def state(self, t: ArrayLike) -> MotionState:
         """Return all segments at the times t (T,), s: arrays (T, S, …).
@@ -67,9 +65,9 @@ class BodyMotion:
         return self._kinematics.state(segments, times)
 
 
-def peak_rates(motion: BodyMotion, span_s: float = _FITTING_SPAN_S) -> tuple[float, float]:
-    """Return the largest |ω| (rad/s) and |ω̇| (rad/s²) of any segment within the span."""
-    state = motion.state(np.arange(0.0, span_s, 0.02))
+def peak_rates(motion: BodyMotion) -> tuple[float, float]:
+    """Return the largest |ω| (rad/s) and |ω̇| (rad/s²) of any segment within ``_FITTING_SPAN_S``."""
+    state = motion.state(np.arange(0.0, _FITTING_SPAN_S, 0.02))
     return (
         float(np.linalg.norm(state.angular_rate, axis=2).max()),
         float(np.linalg.norm(state.angular_acceleration, axis=2).max()),
@@ -180,14 +178,12 @@ def gait_motion(
     return BodyMotion(body, angles, path, fade)
 
 
-def everyday_motion(
-    body: EmulatedBody, seed: int, fade: Fade | None = None, lap: Lap | None = None
-) -> BodyMotion:
+def everyday_motion(body: EmulatedBody, seed: int, lap: Lap | None = None) -> BodyMotion:
     """Walking as people walk, turning, stopping, reaching out, a squat, and all over again.
 
     Raises ``ValueError`` for a body without two legs.
     """
-    fade = fade or Fade()
+    fade = Fade()
     angles, path = planned_lap(body, seed, fade, lap or Lap(), STRIDE)
     return BodyMotion(body, angles, path, fade)
 

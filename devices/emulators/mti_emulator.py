@@ -24,6 +24,8 @@ from devices.vendor_protocols.mti import (
 
 _FIRMWARE = bytes((1, 8, 2))
 _FILTER_RUNS = 0b11
+_NUMBER = 0
+"""Place of the format of its numbers in ``NUMBERS``."""
 _MOST_FORCE, _MOST_RATE = 10 * 9.80665, 34.9
 """m/s² and rad/s: ends of its ranges."""
 
@@ -31,8 +33,7 @@ _MOST_FORCE, _MOST_RATE = 10 * 9.80665, 34.9
 class MtiEmulator(VendorEmulator):
     """``MTData2`` with counter, time, status, acceleration, rate of turn and magnetic field."""
 
-    def __init__(self, module: int, field_ut: float = 49.0, number: int = 0) -> None:
-        """Begin to measure; ``number`` is the place of the number format in ``NUMBERS``."""
+    def __init__(self, module: int, field_ut: float = 49.0) -> None:
         super().__init__(module, field_ut)
         self.outputs: dict[str, int] = {
             "packet_counter": EVERY_PACKET,
@@ -44,7 +45,6 @@ class MtiEmulator(VendorEmulator):
         }
         self.is_measuring = True
         self._device_id = (0x077001A0 + module).to_bytes(4, "big")
-        self._number = number
         self._count = 0
         self._host = MtiDecoder()
 
@@ -53,7 +53,7 @@ class MtiEmulator(VendorEmulator):
         if not self.is_measuring:
             return b""
         values = self._measured(sensed)
-        items = [encode_item(name, values[name], self._number) for name in self.outputs if name in values]
+        items = [encode_item(name, values[name], _NUMBER) for name in self.outputs if name in values]
         return encode(Mid.MT_DATA_2, b"".join(items))
 
     def receive(self, data: bytes, device: EmulatedDevice) -> bytes:
@@ -96,7 +96,7 @@ class MtiEmulator(VendorEmulator):
             case Mid.OUTPUT_CONFIGURATION:
                 if asked.data:
                     self._configure(read_output_configuration(asked.data), device)
-                answer = encode_output_configuration(self.outputs, self._number)
+                answer = encode_output_configuration(self.outputs, _NUMBER)
             case _:
                 return encode(Mid.ERROR, b"\x04")
         return encode(asked.mid + 1, answer)

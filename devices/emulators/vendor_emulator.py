@@ -6,7 +6,7 @@ damage befall its bytes like any others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -192,7 +192,3 @@ class MixedSuit:
             else:
                 theirs += self._emulator.encode(frame)
         return ours, theirs
-
-
-EmulatorOf = Callable[[int], VendorEmulator]
-"""Makes the emulator of a module, by its number."""

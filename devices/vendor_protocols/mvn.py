@@ -188,11 +188,11 @@ def encode_text(kind: bytes, sample: int, time_ms: int, text: str, character: in
     return _headed(kind, sample, time_ms, _string(text), 1, character, 23)
 
 
-def encode_scale(sample: int, time_ms: int, origins: Mapping[str, Vector], character: int = 0) -> bytes:
+def encode_scale(sample: int, time_ms: int, origins: Mapping[str, Vector]) -> bytes:
     """Return the datagram of where segments begin in the neutral posture, m; no points on them."""
     data = b"".join(_string(name) + struct.pack(">3f", *place) for name, place in origins.items())
     data = struct.pack(">I", len(origins)) + data + struct.pack(">I", 0)
-    return _headed(SCALE, sample, time_ms, data, 1, character, len(origins))
+    return _headed(SCALE, sample, time_ms, data, 1, 0, len(origins))
 
 
 def _packed(layout: Layout, item: Item) -> bytes:

@@ -41,8 +41,6 @@ class TrackerSession:
         """The server has greeted it, and its messages come."""
         self.connections = 0
         """Greetings so far."""
-        self.pings = 0
-        """Pings answered so far."""
         self._identity = identity
         self.sensors = {sensor.sensor: sensor for sensor in sensors}
         """By number; one that is changed presents itself again."""
@@ -110,7 +108,6 @@ class TrackerSession:
 
     def _answer(self, message: FromServer, datagram: bytes) -> list[bytes]:
         if message.kind == Kind.PING:
-            self.pings += 1
             return [datagram]
         if message.kind == Kind.ROTATION:  # the server's heartbeat
             return [self._datagram(Kind.HEARTBEAT)]

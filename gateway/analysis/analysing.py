@@ -23,7 +23,7 @@ from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 from gateway.recording import SkeletonArrays
-from gateway.recording.exporters.axes import Axes
+from gateway.recording.exporters.formats import Axes
 from gateway.recording.exporters.take import take_of
 
 ProgressOf = Callable[[str], Callable[[int, int], None]]

@@ -6,22 +6,18 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from gateway.body.inertia import NO_MASS_KG, BodyInertia
 from gateway.body.rig import Vector
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest
-from gateway.support.settings_files import load_settings
+from gateway.support.settings_files import Strict, load_settings
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SegmentMass(_Strict):
+class SegmentMass(Strict):
     """One segment."""
 
     mass_kg: Positive
@@ -31,7 +27,7 @@ class SegmentMass(_Strict):
     )
 
 
-class InertiaFile(_Strict):
+class InertiaFile(Strict):
     """All that have mass; others weigh nothing."""
 
     segments: dict[str, SegmentMass] = Field(min_length=1)

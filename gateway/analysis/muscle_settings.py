@@ -10,19 +10,15 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from gateway.analysis.muscle_curves import Curves
 from gateway.errors import GatewayError, SettingsError, nearest
 from gateway.frames import FloatArray
-from gateway.support.settings_files import load_settings
+from gateway.support.settings_files import Strict, load_settings
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class MuscleEntry(_Strict):
+class MuscleEntry(Strict):
     """Muscles of a name, which may hold * (``vas*_l``); later entries win."""
 
     name: str = Field(min_length=1)
@@ -35,7 +31,7 @@ class MuscleEntry(_Strict):
     )
 
 
-class GuideSettings(_Strict):
+class GuideSettings(Strict):
     """Activities or forces that were measured."""
 
     file: Path = Field(
@@ -46,7 +42,7 @@ class GuideSettings(_Strict):
     )
 
 
-class MuscleFile(_Strict):
+class MuscleFile(Strict):
     """What `analyse --muscles FILE` reads."""
 
     strength: Annotated[float, Field(gt=0, le=10)] = Field(
@@ -56,7 +52,7 @@ class MuscleFile(_Strict):
         default=Curves.NONE,
         description="what the largest force follows: none, length, or length_velocity of the muscle",
     )
-    muscles: list[MuscleEntry] = []
+    muscles: list[MuscleEntry] = Field(default=[])
     guide: GuideSettings | None = None
 
 

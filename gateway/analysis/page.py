@@ -16,7 +16,8 @@ from gateway.analysis.drawing import draw, scene_of
 from gateway.analysis.drawing import png as drawn_png
 from gateway.analysis.muscles import MuscleResult
 from gateway.frames import FloatArray
-from gateway.report.elements import document, picture, require_matplotlib, table, tiles
+from gateway.report.elements import document, picture, table, tiles
+from gateway.support.extras import require_package
 from gateway.support.whole_files import writing
 
 _PICTURES = 3
@@ -27,7 +28,7 @@ _FULL = 0.99
 
 def write_page(found: Analysis, muscles: MuscleResult | None, target: Path, film: Path | None = None) -> None:
     """film: goes into the page. Raises ``GatewayError`` without matplotlib, or when it cannot be written."""
-    require_matplotlib()
+    require_package("matplotlib")
     with writing(target):
         target.write_text(page(found, muscles, film), encoding="utf-8")
 

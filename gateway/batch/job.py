@@ -15,8 +15,7 @@ from devices.link import LinkError
 from gateway.batch.kinds import REPORT, SOLVED
 from gateway.errors import GatewayError
 from gateway.recording import Recording, open_recording
-from gateway.recording.exporters.axes import Axes
-from gateway.recording.exporters.formats import FORMATS
+from gateway.recording.exporters.formats import FORMATS, Axes
 from gateway.recording.exporters.take import take_of
 from gateway.recording.snapshot import decode_suit
 from gateway.recording.solving import Source, recorded_source, write_solved

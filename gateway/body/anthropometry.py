@@ -11,11 +11,12 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest
 from gateway.frames import FloatArray
+from gateway.support.settings_files import Strict
 
 LENGTH_OF_STATURE = {
     "thigh": 0.245,
@@ -55,10 +56,8 @@ _SIDEWAYS = 2  # z, to the right
 Length = Annotated[float, Field(gt=0.005, lt=2.0, allow_inf_nan=False)]
 
 
-class Subject(BaseModel):
+class Subject(Strict):
     """The person who wears the suit."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     height_m: float | None = Field(default=None, gt=0.4, lt=2.6, description="stature, m")
     mass_kg: float | None = Field(default=None, gt=2, lt=400, description="body mass, kg")

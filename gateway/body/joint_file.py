@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from gateway.body.joints import WORLD, Angle, Decomposition, Joint
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Vector3
+from gateway.support.settings_files import Strict
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 AxisName = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -22,11 +23,7 @@ WORLD_NAME = "world"
 _ROTATIONS = 3
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class AngleEntry(_Strict):
+class AngleEntry(Strict):
     """One angle of a joint."""
 
     axis: AxisName | tuple[Finite, Finite, Finite] = Field(
@@ -56,7 +53,7 @@ class AngleEntry(_Strict):
         return x, y, z
 
 
-class Definition(_Strict):
+class Definition(Strict):
     """How a joint's rotation becomes angles."""
 
     decomposition: Literal["cardan", "swing_twist"] = Field(

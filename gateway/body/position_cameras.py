@@ -6,16 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from gateway.body.skeleton import CameraPosition, WornSuit
 from gateway.errors import SettingsError
+from gateway.support.settings_files import Strict
 
 
-class PositionCameras(BaseModel):
+class PositionCameras(Strict):
     """Cameras that locate the wearer of the modules."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     subject: str = Field(description="file of `video solve --fit-subject`: the person and the cameras")
     device: int = Field(ge=0, le=63, description="id of the local device of kind position")

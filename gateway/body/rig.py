@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from gateway.body.anthropometry import Subject, scaled
 from gateway.body.joint_file import JointEntry, joints_of
@@ -31,7 +31,7 @@ from gateway.body.skeleton import (
 )
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Quantity
-from gateway.support.settings_files import find_file, load_settings, load_yaml
+from gateway.support.settings_files import Strict, find_file, load_settings, load_yaml
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
@@ -49,18 +49,14 @@ FACES: tuple[Vector, Vector, Vector, Vector, Vector, Vector] = (
 """Where the cells of a ``LightSample`` look, unless the rig says otherwise."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SegmentInterpolation(_Strict):
+class SegmentInterpolation(Strict):
     """Where a segment without module is: between two others."""
 
     between: tuple[str, str] = Field(description="two segments with modules")
     fraction: float = Field(ge=0, le=1, description="of the way from the first to the second")
 
 
-class BodySegment(_Strict):
+class BodySegment(Strict):
     """One rigid segment."""
 
     name: str = Field(min_length=1, pattern=r"^[a-z0-9_]+$", description="ISB name in lower case")
@@ -75,7 +71,7 @@ class BodySegment(_Strict):
     )
 
 
-class BodyFile(_Strict):
+class BodyFile(Strict):
     """A skeleton; parents stand before their children."""
 
     name: str
@@ -87,7 +83,7 @@ class BodyFile(_Strict):
     joints: list[JointEntry] = Field(default=[], description="for joint angles, limits and calibration")
 
 
-class RangeEntry(_Strict):
+class RangeEntry(Strict):
     """Where a module's sensors end. One that is left out is found once values stay flat there."""
 
     accelerometer: float | None = Field(default=None, gt=0, description="± m/s²")
@@ -99,7 +95,7 @@ class RangeEntry(_Strict):
         return SensorRanges(force, math.inf if self.gyroscope is None else math.radians(self.gyroscope))
 
 
-class WornModule(_Strict):
+class WornModule(Strict):
     """A module strapped to a segment."""
 
     id: ModuleId
@@ -133,7 +129,7 @@ class WornModule(_Strict):
         return value
 
 
-class WornLocalDevice(_Strict):
+class WornLocalDevice(Strict):
     """A local measuring device (ML), or a fixed point."""
 
     kind: Literal["fixed_point", "acceleration", "velocity", "position", "air_velocity"] = Field(
@@ -160,7 +156,7 @@ def _rotation(value: Quaternion) -> Quaternion:
     return value
 
 
-class MagneticField(_Strict):
+class MagneticField(Strict):
     """The local field of the earth."""
 
     norm_ut: float = Field(default=50, gt=0, le=1000, description="strength, µT")
@@ -170,14 +166,14 @@ class MagneticField(_Strict):
     )
 
 
-class Place(_Strict):
+class Place(Strict):
     """Where on earth: gives, with the date and time, where the sun stands."""
 
     latitude_deg: float = Field(ge=-90, le=90, description="north, degrees")
     longitude_deg: float = Field(ge=-180, le=180, description="east, degrees")
 
 
-class WorldSettings(_Strict):
+class WorldSettings(Strict):
     """What the sensors stand in."""
 
     gravity: float = Field(default=9.80665, gt=9, lt=10, description="m/s²")
@@ -199,12 +195,12 @@ class WorldSettings(_Strict):
         return self
 
 
-class RigFile(_Strict):
+class RigFile(Strict):
     """Which modules sit where on which body."""
 
     body: str = Field(description="name of a shipped body, or path of a body file")
     modules: list[WornModule] = Field(min_length=1, max_length=64)
-    local_devices: list[WornLocalDevice] = []
+    local_devices: list[WornLocalDevice] = Field(default=[])
     cameras: PositionCameras | None = Field(
         default=None, description="cameras whose hip keypoints are a position device"
     )

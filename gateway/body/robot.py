@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import UrdfJoint, UrdfTree, read_urdf
 from gateway.errors import SettingsError, nearest
 from gateway.frames import FloatArray
-from gateway.support.settings_files import find_file, load_settings
+from gateway.support.settings_files import Strict, find_file, load_settings
 
 _FORWARD = {
     "x": np.eye(3),
@@ -25,11 +25,7 @@ _FORWARD = {
 """Base link to a world in which the robot looks along x."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class LinkEntry(_Strict):
+class LinkEntry(Strict):
     """What one link follows."""
 
     segment: str
@@ -49,7 +45,7 @@ class LinkEntry(_Strict):
         return self
 
 
-class RobotFile(_Strict):
+class RobotFile(Strict):
     """How a robot follows a person."""
 
     urdf: str | None = Field(

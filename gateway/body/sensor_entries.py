@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from devices.calibration import REFERENCE_TEMPERATURE_C, SensorCalibration
+from gateway.support.settings_files import Strict
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
@@ -18,11 +19,7 @@ _ZERO: Vector = (0, 0, 0)
 _LARGEST_CONDITION = 10.0
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Ellipsoid(_Strict):
+class _Ellipsoid(Strict):
     bias: Vector = Field(default=_ZERO, description="subtracted first, in the sensor's unit (m/s² or µT)")
     matrix: Matrix = Field(default=_IDENTITY, description="multiplied then, row after row")
 
@@ -35,11 +32,11 @@ class _Ellipsoid(_Strict):
         return value
 
 
-class _Bias(_Strict):
+class _Bias(Strict):
     bias: Vector = Field(default=_ZERO, description="subtracted, rad/s")
 
 
-class CalibrationEntry(_Strict):
+class CalibrationEntry(Strict):
     """Corrections of one module's readings: matrix (reading − bias)."""
 
     accelerometer: _Ellipsoid = _Ellipsoid()

@@ -11,23 +11,19 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from gateway.body.camera_entries import CameraEntry
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import BodyFile, Vector, WorldSettings, skeleton_of, worn_without_modules
 from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
 from gateway.errors import SettingsError, nearest
-from gateway.support.settings_files import load_settings
+from gateway.support.settings_files import Strict, load_settings
 
 _DIGITS = 9
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class MarkerEntry(_Strict):
+class MarkerEntry(Strict):
     """One marker."""
 
     label: str = Field(min_length=1, description="name by which the optical system sends it")
@@ -36,7 +32,7 @@ class MarkerEntry(_Strict):
     sigma_mm: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)] = 5.0
 
 
-class VideoEntry(_Strict):
+class VideoEntry(Strict):
     """Cameras that look at the subject; the markers are then keypoints of a pose network."""
 
     network: str = Field(description="whose heat maps come: full, lite, heavy or openpose")
@@ -55,7 +51,7 @@ class VideoEntry(_Strict):
         return tuple((names.index(first), names.index(second)) for first, second in self.joined)
 
 
-class SubjectFile(_Strict):
+class SubjectFile(Strict):
     """What `optical fit` and `video solve --fit-subject` write."""
 
     subject: str
@@ -63,7 +59,7 @@ class SubjectFile(_Strict):
     vertical: Literal["x", "y", "z", "-x", "-y", "-z"] = Field(
         default="z", description="axis of the optical system that points up; -z: z points down"
     )
-    measurements_m: dict[str, float] = {}
+    measurements_m: dict[str, float] = Field(default={})
     angles_deg: dict[str, float] = Field(default={}, description="by which wands lie ahead of joints' axes")
     fit: dict[str, Any] = Field(default={}, description="how the fit came about; for the reader")
     markers: list[MarkerEntry] = Field(min_length=3)

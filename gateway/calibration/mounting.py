@@ -32,9 +32,7 @@ def mounting_event(modules: Collection[ModuleResult]) -> dict[str, Any]:
     }
 
 
-def write_mounted_rig(
-    source: Path, target: Path, modules: Collection[ModuleResult], now: datetime | None = None
-) -> Path | None:
+def write_mounted_rig(source: Path, target: Path, modules: Collection[ModuleResult]) -> Path | None:
     """Return the rig of ``source`` with its modules as found, as ``target``; an older one goes to the
     history.
 
@@ -51,7 +49,7 @@ def write_mounted_rig(
 
     load_settings(source, RigFile)
     content: dict[str, Any] = load_yaml(source)
-    instant = now or datetime.now(UTC)
+    instant = datetime.now(UTC)
     kept = keep(target, instant)
     head = f"# {source.name} with its modules as worn, calibrated {instant:%Y-%m-%d %H:%M} UTC.\n"
     write_rig(source, target, content, change, head)

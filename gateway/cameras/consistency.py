@@ -48,11 +48,6 @@ class Consistency:
     """The same with the offsets taken out."""
 
     @property
-    def is_one_person(self) -> bool:
-        """Whether two cameras at least look at the same person."""
-        return bool(self.apart) and min(self.apart.values()) <= FAR_APART
-
-    @property
     def skipped(self) -> list[int]:
         """By camera, the pictures at its start without which all are in step."""
         earliest = min(0, *self.offsets.values()) if self.offsets else 0

@@ -29,8 +29,7 @@ from gateway.reconstruction.video.networks.imported import (
     person_of,
 )
 from gateway.reconstruction.video.networks.person_detector import Person
-from gateway.reconstruction.video.region import PersonRegion
-from gateway.reconstruction.video.regions import square_of
+from gateway.reconstruction.video.region import PersonRegion, square_of
 
 _FARTHEST = 0.15
 """That somebody's hips may be from where they are looked for, in sides of the region."""

@@ -14,7 +14,7 @@ from gateway.cameras.camera_process import CameraProcess, CameraTask
 from gateway.cameras.live_crowd import AHEAD, CrowdInstant, LiveCrowd
 from gateway.cameras.people_matching import person_in_common
 from gateway.cameras.steering import Steering
-from gateway.reconstruction.video.regions import square_of
+from gateway.reconstruction.video.region import square_of
 
 T = TypeVar("T")
 _RATES_DIFFER = 0.002

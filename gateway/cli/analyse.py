@@ -92,10 +92,10 @@ def analyse_file(
     """
     from gateway.analysis.analysing import analyse
     from gateway.analysis.body_model import require_biomech
-    from gateway.report.elements import require_matplotlib
+    from gateway.support.extras import require_package
 
     require_biomech()
-    require_matplotlib()
+    require_package("matplotlib")
     _refuse_unfit(file, mass, inertia, is_trial=subject is not None)
     folder = _folder(file, output, force=force)
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:

@@ -18,9 +18,9 @@ from gateway.batch.kinds import KINDS, REPORT
 from gateway.cli.options import AsJson, refuse_existing
 from gateway.cli.solving_options import SolvedOtherwise, with_solving
 from gateway.cli.terminal import progress_bar
-from gateway.recording.exporters.axes import Axes
-from gateway.recording.exporters.formats import FORMATS
+from gateway.recording.exporters.formats import FORMATS, Axes
 from gateway.settings import check_method
+from gateway.support.extras import require_package
 
 if TYPE_CHECKING:
     from gateway.batch.job import Job, Outcome
@@ -178,9 +178,8 @@ def report(
     """
     from gateway.recording import open_recording
     from gateway.report import gather, write_report
-    from gateway.report.elements import require_matplotlib
 
-    require_matplotlib()
+    require_package("matplotlib")
     target = output or file.with_suffix(".html")
     refuse_existing(target, force)
     recording = open_recording(file)
@@ -231,12 +230,11 @@ def batch(
     from gateway.batch.running import jobs_in
     from gateway.body.rig import load_rig
     from gateway.recording.snapshot import encode_suit
-    from gateway.report.elements import require_matplotlib
 
     if wanted.reconstructor is not None:
         check_method(wanted.reconstructor)
     if REPORT in to:
-        require_matplotlib()
+        require_package("matplotlib")
     for kind in to:
         if kind in FORMATS:
             FORMATS[kind].check(*_form(kind, axes, unit))

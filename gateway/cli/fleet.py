@@ -25,7 +25,7 @@ from gateway.cli.terminal import wide_console
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
 from gateway.support.credentials import AccessToken, token_for
-from gateway.viewer.printable import printable
+from gateway.support.names import printable
 
 if TYPE_CHECKING:
     from gateway.fleet.collecting import Collector

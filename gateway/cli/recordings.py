@@ -18,8 +18,8 @@ from devices.recording_file import RecordingError
 from gateway.cli.options import AsJson
 from gateway.cli.terminal import progress_bar, wide_console
 from gateway.errors import GatewayError
+from gateway.support.names import printable
 from gateway.support.whole_files import writing
-from gateway.viewer.printable import printable
 
 if TYPE_CHECKING:
     from gateway.recording import RecordingMeta

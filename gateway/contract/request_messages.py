@@ -27,11 +27,7 @@ class ResponseMessage(Message):
 
 
 class RequestProblem(ValueError):
-    """A payload that is no request. ``transaction`` as far as it can be told."""
-
-    def __init__(self, problem: str, transaction: Transaction = None) -> None:
-        self.transaction = transaction
-        super().__init__(problem)
+    """A payload that is no request; nothing can be told of its transaction."""
 
 
 def parse_request(payload: object) -> tuple[dict[str, JsonValue], Transaction]:

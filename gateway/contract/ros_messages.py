@@ -197,10 +197,9 @@ class MagneticFieldEncoder:
 class BodyTransforms:
     """The frames of a body, each in that of its parent segment; the root in the world's."""
 
-    def __init__(self, skeleton: Skeleton, prefix: str = "", world: str = WORLD_FRAME) -> None:
-        """Prepare for a skeleton; ``prefix`` goes before the names of all frames but the world's."""
+    def __init__(self, skeleton: Skeleton) -> None:
         self.names = [
-            (world if parent < 0 else prefix + skeleton.segment_names[parent], prefix + name)
+            (WORLD_FRAME if parent < 0 else skeleton.segment_names[parent], name)
             for name, parent in zip(skeleton.segment_names, skeleton.parents.tolist(), strict=True)
         ]
         """(parent, child) of each segment."""

@@ -113,10 +113,10 @@ class Run:
     """By module at the end, why its segment is doubtful."""
 
 
-def suit_with_position(quantity: Quantity = Quantity.POSITION) -> WornSuit:
-    """Return the shipped suit for the lower body with a device at its waist that measures ``quantity``."""
+def suit_with_position() -> WornSuit:
+    """Return the shipped suit for the lower body with a device at its waist that measures its place."""
     suit = load_rig("suit_lower_7")
-    device = LocalDevice(quantity, suit.skeleton.index("pelvis"), np.array([0.0, 0.1, 0.0]), ML)
+    device = LocalDevice(Quantity.POSITION, suit.skeleton.index("pelvis"), np.array([0.0, 0.1, 0.0]), ML)
     return replace(suit, local_devices=(device,))
 
 

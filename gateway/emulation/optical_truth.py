@@ -231,14 +231,14 @@ class SimulatedErrors(NamedTuple):
         return [e[self.shown[:, j.distal]] for j, e in zip(self.body.joints, self.live, strict=True)]
 
 
-def solved_simulation(seconds: float = SECONDS, seed: int = SEED, gaps: float = GAPS) -> SimulatedErrors:
+def solved_simulation(seconds: float = SECONDS, gaps: float = GAPS) -> SimulatedErrors:
     """Fit a body to one half of a simulated capture, and solve the other, which has all faults.
 
     gaps: share of all points.
     """
     whole = load_marker_set("plug_in_gait")
     marker_set = worn_part(whole, simulated_labels(whole))
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(SEED)
     body = scaled(marker_set.body, Subject(height_m=1.68))
     places, segments = placed_markers(marker_set, body, generator)
     calibration = simulated(marker_set, body, places, segments, seconds, generator, faults=False)

@@ -153,12 +153,11 @@ def suit_17() -> tuple[WornSuit, BodyMotion]:
 def relay_chunks(
     motion: BodyMotion,
     seconds: float,
-    rate_hz: float = 100.0,
     has_relay: bool = True,
     imperfections: Imperfections = IDEAL,
 ) -> list[Chunk]:
     """Return what the suit sends in so many seconds, one chunk a transmission, arrival times as emulated."""
-    settings = SuitSettings(sampling_rate_hz=rate_hz, has_relay=has_relay)
+    settings = SuitSettings(sampling_rate_hz=100.0, has_relay=has_relay)
     traffic = SuitTraffic(motion, settings, imperfections, seed=1)
     return [Chunk(sent.data, round(sent.time_s * 1e9), LINK) for sent in traffic.transmissions(seconds)]
 
@@ -171,10 +170,10 @@ def errors_deg(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float) -
     return rmse_deg(orientation_error(q_wb, motion.state(times_s[settled]).q_wb).total)
 
 
-def measure_walk(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float = WALK_FROM_S) -> WalkResult:
-    """Return figures of a walk from ``from_s`` on; places are counted from where the body is then."""
+def measure_walk(frames: list[SkeletonFrame], motion: BodyMotion) -> WalkResult:
+    """Return figures of a walk from ``WALK_FROM_S`` on; places are counted from where the body is then."""
     times = np.array([frame.time_ns for frame in frames]) * 1e-9
-    kept = np.flatnonzero(times >= from_s)
+    kept = np.flatnonzero(times >= WALK_FROM_S)
     truth = motion.state(times[kept])
     place = np.array([frames[k].p_w[0] for k in kept])
     true_place = truth.joint_position[:, 0]

@@ -9,18 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
+from gateway.body.camera import Camera, project
 from gateway.body.joint_angles import posture
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
 from gateway.frames import CameraHeatMaps, FloatArray, HeatMapFrame
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.video.camera import Camera, project
 from gateway.reconstruction.video.inverse_kinematics import keypoint_places, video_body
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.proportions import PARTS, sized, standard_lengths
-from gateway.reconstruction.video.region import PersonRegion
-from gateway.reconstruction.video.regions import person_region
+from gateway.reconstruction.video.region import PersonRegion, person_region
 
 RATE_HZ = 60.0
 CELLS = 64
@@ -87,13 +86,14 @@ def _posture(skeleton: Skeleton, phase: float, heading: float, upside_down: bool
     return np.stack([quaternion.to_matrix(q) for q in posture(skeleton, angles, root)])
 
 
-def ring_of_cameras(n: int, radius: float = 4.0) -> list[Camera]:
-    """Return cameras of 1080 × 1920 pixels with distortion, 1.8 m high about the origin, looking at 0.9 m."""
+def ring_of_cameras(n: int) -> list[Camera]:
+    """Return cameras of 1080 × 1920 pixels with distortion, 4 m around the origin, 1.8 m high,
+    looking at 0.9 m."""
     matrix = np.array([[1500.0, 0.0, 540.0], [0.0, 1500.0, 960.0], [0.0, 0.0, 1.0]])
     cameras = []
     for c in range(n):
         angle = 2 * np.pi * c / n + 0.3
-        place = np.array([radius * np.cos(angle), radius * np.sin(angle), 1.8])
+        place = np.array([4.0 * np.cos(angle), 4.0 * np.sin(angle), 1.8])
         ahead = np.array([0.0, 0.0, 0.9]) - place
         ahead /= np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 import gateway
 from devices.link import LinkError, gateway_time_ns
@@ -30,25 +29,22 @@ from gateway.frames import SkeletonFrame
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import MqttSettings
 from gateway.recording import open_recording
+from gateway.support.settings_files import Strict
 
 _SIMULATED_S = 10.0
 _MB = 1e6
 _LONGEST_LAG_S = 0.2
 
 
-class LightGateway(BaseModel):
+class LightGateway(Strict):
     """One of them."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str
     mqtt: MqttSettings
 
 
-class LightPlan(BaseModel):
+class LightPlan(Strict):
     """Those of one process."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     gateways: tuple[LightGateway, ...]
     rate_hz: float

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from devices.roster import Conflict, Device, Roster
 from firmware_protocol.kinds import Kind
@@ -21,6 +21,7 @@ from gateway.contract.topics import MODULE_AVAILABILITY, MODULE_STATE
 from gateway.modules.makers import MakersModule
 from gateway.sources.statistics import ModuleRecord
 from gateway.sources.stream import Stream
+from gateway.support.settings_files import Strict
 
 SAMPLE_KINDS = (
     Kind.INERTIAL_SAMPLE,
@@ -32,11 +33,7 @@ SAMPLE_KINDS = (
 """Kinds that have a rate published."""
 
 
-class _Plain(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ModuleSummary(_Plain):
+class ModuleSummary(Strict):
     """One device that answered, or is only heard sending."""
 
     module: int = Field(description="module id; 254 is the relay")
@@ -55,14 +52,14 @@ class ModuleSummary(_Plain):
     gaps: dict[str, int] = Field(default={}, description="how often so many packets were lost in a row")
 
 
-class ConflictSummary(_Plain):
+class ConflictSummary(Strict):
     """A module id that several devices have."""
 
     module: int
     unique_ids: tuple[str, ...]
 
 
-class ModuleList(_Plain):
+class ModuleList(Strict):
     """Who is there."""
 
     modules: tuple[ModuleSummary, ...]

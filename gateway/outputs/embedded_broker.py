@@ -18,7 +18,6 @@ import asyncio
 import errno
 import logging
 import sys
-import urllib.parse
 from collections.abc import Collection
 from typing import Any
 
@@ -35,7 +34,7 @@ from amqtt.errors import BrokerError
 from amqtt.session import Session
 
 from gateway.outputs.settings import WEBSOCKET_TOKEN_VARIABLE
-from gateway.support.credentials import AccessToken, CredentialError, is_loopback, read_secret
+from gateway.support.credentials import AccessToken, CredentialError, leads_here, read_secret
 
 HOST = "127.0.0.1"
 
@@ -62,13 +61,9 @@ def admits(hosts: Collection[str], origins: Collection[str], allowed: Collection
     """Whether a WebSocket with these ``Host`` and ``Origin`` headers may open; programs send no origin."""
     if len(hosts) != 1 or len(origins) > 1:
         return False
-    try:
-        host = urllib.parse.urlsplit(f"//{next(iter(hosts))}").hostname
-        origin = next(iter(origins), None)
-        is_own = origin is None or is_loopback(urllib.parse.urlsplit(origin).hostname or "")
-    except ValueError:
-        return False
-    return is_loopback(host or "") and (is_own or origin in allowed)
+    origin = next(iter(origins), None)
+    is_admitted = origin is None or leads_here(origin) or origin in allowed
+    return is_admitted and leads_here(f"//{next(iter(hosts))}")
 
 
 class _Broker(Broker):  # type: ignore[misc]  # it has no types

@@ -69,11 +69,6 @@ class LatePoses:
         """Whether poses wait in the file."""
         return self._taken < self._size
 
-    @property
-    def waiting_bytes(self) -> int:
-        """Of the poses that wait in the file."""
-        return self._size - self._taken
-
     def published(self, payload: bytes) -> None:
         """Hold a pose (a JSON object) that was handed to a connection, until it is confirmed."""
         self._unconfirmed.append((time.monotonic(), payload))

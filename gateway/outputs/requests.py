@@ -151,7 +151,7 @@ class RequestResponder:
         try:
             data, transaction = parse_request(message.payload)
         except RequestProblem as problem:
-            asked = _Asked(verb, {}, problem.transaction, answer_to, correlation)
+            asked = _Asked(verb, {}, None, answer_to, correlation)
             await self._answer(asked, _error(asked, str(problem)))
             return
         asked = _Asked(verb, data, transaction, answer_to, correlation)

@@ -7,9 +7,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from gateway.support.credentials import AccessToken, read_secret
+from gateway.support.settings_files import Strict
 
 PASSWORD_VARIABLE = "MOCAP_MQTT_PASSWORD"
 """Environment variable that may hold the broker password."""
@@ -46,10 +47,8 @@ class PoseFormat(StrEnum):
     MSGPACK = "msgpack"
 
 
-class TlsSettings(BaseModel):
+class TlsSettings(Strict):
     """Files of a TLS connection."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     ca_file: Path | None = Field(
         default=None,
@@ -67,10 +66,8 @@ class TlsSettings(BaseModel):
         return self
 
 
-class LateSettings(BaseModel):
+class LateSettings(Strict):
     """Poses that no broker took, published later on topic ``pose/late``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     folder: Path = Field(description="Where they are kept meanwhile, in a file of the gateway's name.")
     most_mb: float = Field(
@@ -116,10 +113,8 @@ def _is_address(host: str) -> bool:
 HostName = Annotated[str, Field(min_length=1), AfterValidator(_checked_host)]
 
 
-class MqttSettings(BaseModel):
+class MqttSettings(Strict):
     """Connection to the broker, topics and payload. The password is never part of it."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     broker: Literal["embedded", "external"] = Field(
         default="external",
@@ -330,9 +325,7 @@ class MqttSettings(BaseModel):
         return "3.1.1" if self.broker == "embedded" else self.protocol
 
 
-class _Output(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
+class _Output(Strict):
     rate: float = Field(default=60, gt=0, le=1000, allow_inf_nan=False, description="most poses a second, Hz")
 
 
@@ -408,19 +401,15 @@ class Ros2Settings(_Output):
     )
 
 
-class RobotUdpSettings(BaseModel):
+class RobotUdpSettings(Strict):
     """The messages of topic ``robot/joint_states``, each a datagram."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     host: HostName = Field(default="127.0.0.1", description="where they are sent")
     port: int = Field(default=39700, ge=1, le=65535, description="UDP port of the robot's program")
 
 
-class RobotRos2Settings(BaseModel):
+class RobotRos2Settings(Strict):
     """Joint states of the robot by the router of rmw_zenoh (extra ``ros2``)."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     router: RouterAddress = Field(default="tcp/127.0.0.1:7447", description=_ROUTER)
     domain: int = Field(default=0, ge=0, le=232, description=_DOMAIN)
@@ -455,10 +444,8 @@ class OpenSimSettings(_Datagrams):
     )
 
 
-class OutputsSettings(BaseModel):
+class OutputsSettings(Strict):
     """Outputs beside MQTT; none: off."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     vmc: VmcSettings | None = Field(default=None, description="avatars, by the VMC protocol; {}: defaults")
     udp_json: UdpJsonSettings | None = Field(default=None, description="poses as JSON over UDP")

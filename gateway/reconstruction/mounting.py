@@ -169,14 +169,20 @@ def _kept(
     partner = int(state.partner[s])
     if s in explained or partner in explained:
         return asked
-    other = Arrangement(now.place.copy(), now.turn.copy())
-    for i in {s, partner}:
-        other.place[i], other.turn[i] = state.partner[i], state.turn[i]
+    other = _as_before(state, now, s)
     if float(_gains(joints, agreement, other, asked, s, partner)[0]) < STAYS_ABOVE:
         return asked
     now.place[:], now.turn[:] = other.place, other.turn
     explained |= {s, partner}
     return _explained(joints, agreement, now, asked, Found(0.0, s, partner, 0))
+
+
+def _as_before(state: MountingState, now: Arrangement, s: int) -> Arrangement:
+    """Return ``now`` with segment s and its partner as they were explained earlier."""
+    other = Arrangement(now.place.copy(), now.turn.copy())
+    for i in {s, int(state.partner[s])}:
+        other.place[i], other.turn[i] = state.partner[i], state.turn[i]
+    return other
 
 
 def _asked(joints: Joints, agreement: AgreementState, worn: Worn, now: Arrangement) -> Asked:
@@ -233,9 +239,7 @@ def _is_over(
     partner = int(state.partner[s])
     if partner in explained:
         return True  # that one has another explanation now
-    other = Arrangement(now.place.copy(), now.turn.copy())
-    for i in {s, partner}:
-        other.place[i], other.turn[i] = state.partner[i], state.turn[i]
+    other = _as_before(state, now, s)
     is_asked = bool(len(_concerned(joints, asked, s, partner)))
     return is_asked and float(_gains(joints, agreement, other, asked, s, partner)[0]) < STAYS_ABOVE
 

@@ -30,8 +30,8 @@ from gateway.recording.imported import add_solved, imported_session, origin_even
 from gateway.recording.reading import Progress
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import MarkersLinkSettings
 from gateway.sources.markers import MarkerFrames
-from gateway.sources.markers_link_settings import MarkersLinkSettings
 from gateway.stages.markers import MarkerStage
 
 LINK = "markers"
@@ -85,9 +85,9 @@ class _Fits:
         ]
 
 
-def optical_settings(subject: str, rate_hz: float, url: str, name: str = "optical") -> GatewaySettings:
+def optical_settings(subject: str, rate_hz: float, url: str) -> GatewaySettings:
     """Return a configuration that plays a file of markers."""
-    return solved_settings(subject, rate_hz, MarkersLinkSettings(name=LINK, url=url), name)
+    return solved_settings(subject, rate_hz, MarkersLinkSettings(name=LINK, url=url), "optical")
 
 
 def write_solved_trial(

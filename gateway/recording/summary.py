@@ -27,8 +27,6 @@ from firmware_protocol import RELAY
 from gateway.errors import GatewayError
 from gateway.recording.reading import Recording
 
-_LONGEST_ID = 10
-
 
 @dataclass
 class RecordingSummary:

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import base64
 import html
-import importlib.util
 import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from devices.extras import how_to_add
-from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 
 _STYLE = """
@@ -83,12 +80,6 @@ _WIDTH_IN = 10.0
 _COLUMNS = 3
 LINES = ("#1f6fb2", "#e07a1f", "#4f9d4f")
 """Colours of the first three lines of a panel."""
-
-
-def require_matplotlib() -> None:
-    """Raise ``GatewayError`` where the extra is not installed."""
-    if importlib.util.find_spec("matplotlib") is None:
-        raise GatewayError(f"a report needs the extra 'plot': {how_to_add('plot')}")
 
 
 def small_multiples(

@@ -20,7 +20,6 @@ from gateway.report.elements import (
     panels,
     picture,
     png,
-    require_matplotlib,
     small_multiples,
     table,
     tiles,
@@ -28,6 +27,7 @@ from gateway.report.elements import (
 )
 from gateway.report.gathering import Findings, ModuleFindings
 from gateway.sources.clock_mode import ClockMode
+from gateway.support.extras import require_package
 from gateway.support.whole_files import write_whole, writing
 
 _STATUS_COLOURS = {
@@ -154,7 +154,7 @@ _BAD_LOSS_PERCENT = 1.0
 
 def write_report(found: Findings, target: Path) -> None:
     """Write the page. Raises ``GatewayError`` without matplotlib, or when it cannot be written."""
-    require_matplotlib()
+    require_package("matplotlib")
     text = page(found)
     with writing(target):
         write_whole(target, text.encode())

@@ -16,8 +16,7 @@ import json
 import logging
 import socket
 import threading
-import urllib.parse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import TimeoutError as NoAnswer
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -29,7 +28,7 @@ from prometheus_client.exposition import choose_encoder
 
 from gateway.errors import OutputError
 from gateway.service.metrics import GatewayFigures, registry_of
-from gateway.support.credentials import AccessToken, is_loopback
+from gateway.support.credentials import AccessToken, leads_here
 from gateway.support.crowd import Crowd, CrowdedError
 
 log = logging.getLogger(__name__)
@@ -195,14 +194,6 @@ class _Head:
         self._connection.close()
 
 
-def _host_name(hosts: Sequence[str]) -> str:
-    """Return the name under which a client knows this server; empty if its headers name none, or several."""
-    with contextlib.suppress(ValueError):
-        (host,) = hosts
-        return urllib.parse.urlsplit(f"//{host}").hostname or ""
-    return ""
-
-
 class _Handler(BaseHTTPRequestHandler):
     owner: MetricsServer
     timeout = FIRST_REQUEST_S
@@ -252,7 +243,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _may_read(self) -> bool:
         token = self.owner.token
         if token is None:
-            return is_loopback(_host_name(self.headers.get_all("Host", [])))
+            hosts = self.headers.get_all("Host", [])
+            return len(hosts) == 1 and leads_here(f"//{hosts[0]}")
         kind, _, shown = self.headers.get("Authorization", "").partition(" ")
         return kind.lower() == "bearer" and token.matches(shown.strip())
 

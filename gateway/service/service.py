@@ -55,8 +55,8 @@ from gateway.service.own_requests import OwnRequests
 from gateway.service.parts import bridge_info, links_of, periodic_senders, unworn_modules
 from gateway.service.people import CARRIES, PeopleBeforeCameras
 from gateway.settings import GatewaySettings, fitting_suit
-from gateway.sources.losses import Cause
 from gateway.sources.registry import source_kind
+from gateway.sources.statistics import Cause
 from gateway.stages.cameras import CameraStage
 from gateway.support.memory import bound_memory, give_back
 from gateway.support.supervision import kept_running

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from devices.link import Link, gateway_time_ns
 from firmware_protocol import BROADCAST, SamplingTrigger, wire_frame
@@ -33,28 +33,26 @@ class Triggerer:
         sender: HostSender,
         answers: TriggerAnswers,
         rate_hz: float,
-        clock_ns: Callable[[], int] = gateway_time_ns,
     ) -> None:
         """Trigger over ``links`` at ``rate_hz``; the list may grow while this runs."""
         self.timer = TriggerTimer(1e9 / rate_hz)
         self._links = links
         self._sender = sender
         self._answers = answers
-        self._clock_ns = clock_ns
         self._sending: dict[str, asyncio.Task[None]] = {}
         self._warned: set[int] = set()
         self._looked_ns = 0
 
     async def run(self) -> None:
         """Trigger for ever."""
-        alarm = PreciseAlarm(self._clock_ns)
-        self.timer.start(self._clock_ns())
+        alarm = PreciseAlarm(gateway_time_ns)
+        self.timer.start(gateway_time_ns())
         try:
             while True:
                 next_ns = self.timer.next_ns
                 assert next_ns is not None
                 await alarm.wait_until(next_ns)
-                trigger = self.timer.due(self._clock_ns())
+                trigger = self.timer.due(gateway_time_ns())
                 if trigger is not None:
                     self._broadcast(trigger)
                     self._warn_of_stragglers()
@@ -88,7 +86,7 @@ class Triggerer:
 
     def _warn_of_stragglers(self) -> None:
         """Warn once of each module that does not follow the triggers."""
-        now_ns = self._clock_ns()
+        now_ns = gateway_time_ns()
         if now_ns - self._looked_ns < _LOOK_INTERVAL_NS:
             return
         self._looked_ns = now_ns

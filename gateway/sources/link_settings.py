@@ -1,12 +1,13 @@
-"""What the configuration says of one link. A source with settings of its own extends this."""
+"""What the configuration says of one link. The source of another maker's modules extends this where it is."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from devices.link import SUIT
+from gateway.support.settings_files import Strict
 
 _CARRIED = {"qtm": "markers", "markers": "markers", "mqtt": "heat_maps"}
 """What links of some schemes carry, and nothing else."""
@@ -17,10 +18,8 @@ def has_credentials(url: object) -> bool:
     return isinstance(url, str) and "@" in url.partition("://")[2].partition("/")[0]
 
 
-class LinkSettings(BaseModel):
+class LinkSettings(Strict):
     """One serial port, CAN bus, socket or recording."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field(min_length=1, max_length=100, description="short name for logs and statistics")
     url: str = Field(
@@ -66,3 +65,41 @@ class LinkSettings(BaseModel):
         if "key_file=" in self.url and self.carries != SUIT:
             raise ValueError("url: key_file is for links of modules: nothing else is signed")
         return self
+
+
+class GnssLinkSettings(LinkSettings):
+    """A satellite receiver."""
+
+    carries: Literal["gnss"] = "gnss"
+    device: int = Field(
+        default=60, ge=0, le=63, description="for gnss: id under which the rig's local device knows it"
+    )
+    latency_ms: float = Field(
+        default=50,
+        ge=0,
+        le=5000,
+        description="for gnss: from the instant of a fix to its arrival, at the least",
+    )
+    origin: tuple[float, float, float] | None = Field(
+        default=None,
+        description="for gnss: latitude and longitude in degrees and height above the ellipsoid in metres of "
+        "the world's origin; none: the first fix",
+    )
+
+    @model_validator(mode="after")
+    def _is_on_earth(self) -> GnssLinkSettings:
+        if self.origin is not None and not (abs(self.origin[0]) <= 90 and abs(self.origin[1]) <= 180):
+            raise ValueError("origin: latitude within ±90 and longitude within ±180 degrees are wanted")
+        return self
+
+
+class MarkersLinkSettings(LinkSettings):
+    """An optical system that names markers."""
+
+    carries: Literal["markers"] = "markers"
+    person: str | None = Field(
+        default=None,
+        min_length=1,
+        description="for markers: whose, where several people come (NAME:LASI); none: its own, by "
+        "the name before the labels of its file, else those of the only person there is",
+    )

@@ -16,7 +16,7 @@ from gateway.body.markers import BodyMarkers
 from gateway.contract.balances import Balance
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.reconstruction.optical.landmarks import to_world
-from gateway.sources.markers_link_settings import MarkersLinkSettings
+from gateway.sources.link_settings import MarkersLinkSettings
 from gateway.sources.source import ListeningSource, SourceContext
 
 log = logging.getLogger(__name__)

@@ -27,9 +27,8 @@ from gateway.clocks import (
 )
 from gateway.contract.balances import Balance
 from gateway.sources.clock_mode import ClockMode
-from gateway.sources.losses import Cause, LinkLosses
 from gateway.sources.module_rows import MODULE, module_rows
-from gateway.sources.statistics import ModuleRecord
+from gateway.sources.statistics import Cause, LinkLosses, ModuleRecord
 from gateway.support.rows import Memory, memory_of, part
 
 _NewClock = Callable[[int, LinkBatching, Memory], ModuleClock]

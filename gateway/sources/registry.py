@@ -14,10 +14,8 @@ from devices.link import SUIT, Framing
 from gateway.errors import SettingsError, nearest
 from gateway.sources import slimevr
 from gateway.sources.bno08x import Bno08xLinkSettings, Bno08xSource
-from gateway.sources.gnss.link_settings import GnssLinkSettings
-from gateway.sources.link_settings import LinkSettings
+from gateway.sources.link_settings import GnssLinkSettings, LinkSettings, MarkersLinkSettings
 from gateway.sources.makers import Discovery, MakersCommands, OthersLinkSettings
-from gateway.sources.markers_link_settings import MarkersLinkSettings
 from gateway.sources.mocopi import MocopiLinkSettings, MocopiSource
 from gateway.sources.mti import (
     MtiCanLinkSettings,

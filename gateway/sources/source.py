@@ -37,7 +37,7 @@ class Source(Protocol):
 
     @property
     def observes(self) -> type[Observation]:
-        """What it gives: decides which stage takes it (``gateway.stages.STAGES``)."""
+        """What it gives: decides which stage takes it (``gateway.stages.registry``)."""
         ...
 
     def add_link(self, name: str, content: str) -> None:

@@ -1,16 +1,48 @@
-"""What is counted of every module."""
+"""What is counted of every module, and why samples were lost on their way: by what happened on the link
+between the packets around the gap."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections import Counter, deque
 from dataclasses import dataclass
+from enum import Enum
 
 from firmware_protocol import DeviceInfo, Health
 from gateway.clocks import ModuleClock, unwrap
-from gateway.sources.losses import Cause, LinkLosses
 from gateway.sources.module_rows import MODULE, SEQUENCE, SHARED_KINDS
 from gateway.support.rows import Memory, Row, fields_of, memory_of, part
+
+
+class Cause(Enum):
+    """The likeliest first: what was found out later wins only where nothing before it fits."""
+
+    LINK_DOWN = "the link was lost in between"
+    OVERRUN = "bytes, frames or datagrams were lost for want of room (see the link's counts)"
+    DAMAGED = "damaged wire frames were dropped in between"
+    UNSEEN = "nothing was seen of them: lost in the suit, on the air or on the network"
+
+
+class LinkLosses:
+    """What has happened on one link, by the chunk in which it was noticed."""
+
+    def __init__(self) -> None:
+        self.chunk = 0
+        """Number of the chunk in hand."""
+        self._noticed: dict[Cause, int] = {}
+
+    def notice(self, cause: Cause) -> None:
+        """It happened before, or in, the chunk in hand."""
+        self._noticed[cause] = self.chunk
+
+    def cause_since(self, chunk: int) -> Cause:
+        """Return why packets are missing after one that came in ``chunk``."""
+        # The order of ``Cause`` is the order of precedence where several happened.
+        for cause in Cause:
+            if self._noticed.get(cause, -1) >= chunk:
+                return cause
+        return Cause.UNSEEN
+
 
 SEQUENCE_BITS = 16
 MANY_RESTARTS, RESTLESS_NS = 3, 10_000_000_000
@@ -216,7 +248,7 @@ class ModuleRecord(Row):
 
     @property
     def lost_by(self) -> dict[str, int]:
-        """Lost packets by cause (``gateway.sources.losses``)."""
+        """Lost packets by cause (``Cause``)."""
         return {
             cause.name.lower(): sum(counter.lost_by[cause] for counter in self.sequences.values())
             for cause in Cause

@@ -2,7 +2,7 @@
 
     readings → ranges → calibration → (despiking) → frame assembly → (sun) → reconstructor → pose
 
-``RawAssembly`` and ``FusedAssembler`` put readings together; which one it is, the method decides.
+``FrameAssembler`` and ``FusedAssembler`` put readings together; which one it is, the method decides.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import os
+import urllib.parse
 from pathlib import Path
 
 from gateway.errors import SettingsError
@@ -42,6 +43,14 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host.lower() == "localhost"
+
+
+def leads_here(address: str) -> bool:
+    """Return whether an address (``http://NAME:PORT``, ``//NAME``) has a name of this machine."""
+    try:
+        return is_loopback(urllib.parse.urlsplit(address).hostname or "")
+    except ValueError:
+        return False
 
 
 class AccessToken:

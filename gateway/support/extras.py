@@ -7,8 +7,13 @@ import importlib.util
 from devices.extras import how_to_add
 from gateway.errors import GatewayError
 
-_EXPORT = {"pygltflib": ("glTF", "export"), "pyarrow": ("Parquet", "export")}
-_NEEDED_BY = _EXPORT | {"foxglove": ("Foxglove", "foxglove"), "viser": ("the page", "viewer")}
+_NEEDED_BY = {
+    "pygltflib": ("glTF", "export"),
+    "pyarrow": ("Parquet", "export"),
+    "foxglove": ("Foxglove", "foxglove"),
+    "viser": ("the page", "viewer"),
+    "matplotlib": ("a report", "plot"),
+}
 """By name of a package: what needs it, and the extra that brings it."""
 _VIDEO = {"cv2": "OpenCV", "ai_edge_litert": "ai-edge-litert"}
 

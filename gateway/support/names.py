@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+_REPLACED = "\N{REPLACEMENT CHARACTER}"
+
 RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 """Nothing that could mean another folder."""
 
@@ -18,3 +20,8 @@ IN_WORDS = {
     PLAIN_NAME: "a name of letters a to z, digits, '-' and '_' is wanted",
 }
 """What to write instead, by the pattern that a name does not fit."""
+
+
+def printable(text: str) -> str:
+    """Return a text without what a terminal would obey: control characters, escapes, changes of direction."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else _REPLACED for c in text)

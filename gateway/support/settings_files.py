@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gateway.errors import SettingsError, nearest
 from gateway.support import yaml_text
@@ -27,6 +27,12 @@ _NAMED_BY = {"bodies": "body", "rigs": "rig"}
 _MOST_PROBLEMS = 20
 """Said of one file at a time."""
 _LONGEST_LINE = 400
+
+
+class Strict(BaseModel):
+    """Settings that refuse what they do not know, and do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def shipped_folder() -> Path:

@@ -6,7 +6,6 @@ is written to a module before a switch says so.
 
 from __future__ import annotations
 
-import asyncio
 import html
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -32,7 +31,7 @@ class Assistant(StepTab):
         marks: Callable[[str], None],
     ) -> None:
         """Add the tab; ``marks`` is called with the segment that is meant, to show it on the body."""
-        super().__init__(server, tabs, "tab", ask, asyncio.get_running_loop())
+        super().__init__(server, tabs, "tab", ask)
         self._mark = marks
         self._listed: Mapping[str, Any] | None = None
         self._examined: Mapping[str, Any] | None = None

@@ -26,14 +26,8 @@ SWITCH_S, _MOST_LOOKS = 1.5, 5
 class BodySteps(StepTab):
     """One tab of the panel."""
 
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        tabs: viser.GuiTabGroupHandle,
-        ask: Ask,
-        loop: asyncio.AbstractEventLoop,
-    ) -> None:
-        super().__init__(server, tabs, "body", ask, loop)
+    def __init__(self, server: viser.ViserServer, tabs: viser.GuiTabGroupHandle, ask: Ask) -> None:
+        super().__init__(server, tabs, "body", ask)
         self._steps: dict[str, str] = {}
         """Instructions by step."""
         self._at = ""

@@ -29,10 +29,9 @@ class CheckTab(StepTab):
         server: viser.ViserServer,
         tabs: viser.GuiTabGroupHandle,
         ask: Ask,
-        loop: asyncio.AbstractEventLoop,
         worn: Worn,
     ) -> None:
-        super().__init__(server, tabs, "check", ask, loop)
+        super().__init__(server, tabs, "check", ask)
         self._worn = worn
         self._found: dict[str, list[Seen]] = {}
         """By movement, those done so far."""

@@ -27,7 +27,6 @@ class _Companion:
     def __init__(self, server: viser.ViserServer, stage: Stage, name: str, body: BodyMessage) -> None:
         skeleton = skeleton_of(body)
         self.body = body
-        self.drawn: ReceivedPose | None = None
         self._stage = stage
         self._keeper = PostureKeeper(skeleton)
         self._scene = BodyScene(server, stage, skeleton, root=f"/companions/{name}")
@@ -40,7 +39,6 @@ class _Companion:
 
     def draw(self, received: ReceivedPose) -> None:
         """Bring it to a pose, every time: its place on the page depends on the page's middle too."""
-        self.drawn = received
         posture = self._keeper.take(received.pose)
         self._scene.draw(posture, is_stale=False)
         p_w = posture.p_w - self._stage.middle

@@ -27,7 +27,7 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 from gateway.errors import OutputError
-from gateway.support.credentials import AccessToken, CredentialError, is_loopback
+from gateway.support.credentials import AccessToken, CredentialError, leads_here
 from gateway.support.crowd import Crowd, CrowdedError
 
 LARGEST_HEAD = 16 * 1024
@@ -79,8 +79,7 @@ class Request:
             self.headers = {name.strip().lower(): value.strip() for name, value in pairs}
             self.host = self.headers.get("host", "").lower()
             """Name and port under which the browser knows the page."""
-            place = urllib.parse.urlsplit(f"//{self.host}")
-            self.host_name, self.host_port = place.hostname or "", place.port or 80
+            self.host_port = urllib.parse.urlsplit(f"//{self.host}").port or 80
         except ValueError:
             raise Refused("400 Bad Request", "this is no HTTP request") from None
         # A body that this gate and the page behind measured differently would smuggle a second request.
@@ -150,7 +149,7 @@ class Door:
 
         ``Refused`` is also raised to set the cookie for a request that shows a token.
         """
-        is_open = not self._keys and is_loopback(request.host_name)
+        is_open = not self._keys and leads_here(f"//{request.host}")
         right = Right.WRITE if is_open else self._identify(request)
         # A browser sends cookies with requests of any site: only the origin says which site opened the
         # socket.

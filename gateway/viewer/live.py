@@ -132,11 +132,11 @@ class LiveViewer:
 
     def _add_assistant(self, server: viser.ViserServer) -> None:
         """Add the tabs that lead from nothing to a recording, in the order of their steps."""
-        tabs, ask, loop = self._panel.tabs, self._answer_of, self._loop
+        tabs, ask = self._panel.tabs, self._answer_of
         self._assistant = Assistant(server, tabs, ask, self._mark)
-        sensors, body = SensorTab(server, tabs, ask, loop), BodySteps(server, tabs, ask, loop)
-        self._check = CheckTab(server, tabs, ask, loop, lambda: self._worn)
-        takes = TakesTab(server, tabs, ask, loop, self._replay)
+        sensors, body = SensorTab(server, tabs, ask), BodySteps(server, tabs, ask)
+        self._check = CheckTab(server, tabs, ask, lambda: self._worn)
+        takes = TakesTab(server, tabs, ask, self._replay)
         self._assistant.leads(sensors, body, self._check, takes)
         self._body_steps = body
         self._panel.on_language(self._assistant.set_language)

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from gateway.contract.messages import PoseMessage, Quaternion
 from gateway.outputs.subscriber import ReceivedPose
-from gateway.viewer.printable import printable
+from gateway.support.names import printable
 
 STALE_AFTER_S = 1.0
 """Age of the last pose from which on the table says that no data comes."""

@@ -17,14 +17,8 @@ LOOK_S = 1.0
 class SensorTab(StepTab):
     """One tab of the panel. What was begun goes on in the gateway when the page is closed."""
 
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        tabs: viser.GuiTabGroupHandle,
-        ask: Ask,
-        loop: asyncio.AbstractEventLoop,
-    ) -> None:
-        super().__init__(server, tabs, "sensors", ask, loop)
+    def __init__(self, server: viser.ViserServer, tabs: viser.GuiTabGroupHandle, ask: Ask) -> None:
+        super().__init__(server, tabs, "sensors", ask)
         self._status: Mapping[str, Any] | None = None
         self._found: Mapping[str, Mapping[str, Mapping[str, Any]]] | None = None
         """What is shown: how far modules are, or what was found of them."""

@@ -61,10 +61,10 @@ def set_options(chooser: viser.GuiDropdownHandle[str], options: Sequence[str], c
 class Errands:
     """What buttons ask for, done in the loop while threads of the page's server go on."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self) -> None:
         self.language = ENGLISH
         """Of the message where something unforeseen goes wrong."""
-        self._loop = loop
+        self._loop = asyncio.get_running_loop()
         self._work: set[concurrent.futures.Future[None]] = set()
 
     def start(self, action: Action, show: Callable[[str], object]) -> None:
@@ -94,10 +94,9 @@ class StepTab(ABC):
         tabs: viser.GuiTabGroupHandle,
         name: str,
         ask: Ask,
-        loop: asyncio.AbstractEventLoop,
     ) -> None:
         """Add an empty tab; ``name`` is the key of its name in the texts."""
-        self._server, self._ask, self._errands = server, ask, Errands(loop)
+        self._server, self._ask, self._errands = server, ask, Errands()
         self._tabs, self._name = tabs, name
         self._tab = tabs.add_tab(translated(ENGLISH, name))
         self._language = ENGLISH

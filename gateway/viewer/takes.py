@@ -36,10 +36,9 @@ class TakesTab(StepTab):
         server: viser.ViserServer,
         tabs: viser.GuiTabGroupHandle,
         ask: Ask,
-        loop: asyncio.AbstractEventLoop,
         replay: Replay,
     ) -> None:
-        super().__init__(server, tabs, "takes", ask, loop)
+        super().__init__(server, tabs, "takes", ask)
         self._replay = replay
         self._listed: Mapping[str, Any] | None = None
         self._is_replaying = False

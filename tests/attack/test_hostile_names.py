@@ -18,9 +18,9 @@ from gateway.cli.watch import Watch, watch_poses
 from gateway.contract.messages import BodyMessage, PoseMessage, describe_body
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
+from gateway.support.names import printable
 from gateway.viewer.module_table import module_rows
 from gateway.viewer.pose_table import PoseView, joint_table
-from gateway.viewer.printable import printable
 
 SEGMENT = {"name": "a", "parent": None, "offset": [0, 0, 0], "tip": [0, 1, 0]}
 HOSTILE_BODIES = {

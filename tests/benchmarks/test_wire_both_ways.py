@@ -33,7 +33,7 @@ def forgets_a_loss(real):
     return decode
 
 
-def test_a_drop_that_is_not_counted_ends_with_one(monkeypatch, capsys):
+def test_a_drop_that_is_not_counted_ends_with_one(monkeypatch):
     monkeypatch.setattr(compiled_decoding, "decode_records", forgets_a_loss(can_kernels.decode_records))
     monkeypatch.setattr(sys, "argv", ["wire_both_ways", "--frames", "2000"])
     with pytest.raises(SystemExit, match="FAIL: dropped"):

@@ -70,7 +70,7 @@ async def test_arrival_is_stamped_before_a_busy_reader_looks(joined, stamped_on_
 
 async def test_bus_that_fails_is_a_loss(joined):
     link, _ = joined
-    link._bus.shutdown()  # under the reading thread
+    link._opened.shutdown()  # under the reading thread
     with pytest.raises(LinkError, match="bus was lost: Cannot operate on a closed bus"):
         async with asyncio.timeout(PATIENCE_S):
             await anext(aiter(link))

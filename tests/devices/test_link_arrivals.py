@@ -8,6 +8,7 @@ import pytest
 
 from devices.arrivals import HAND_OVER_S, SMALL_BYTES, Arrivals
 from devices.link import Chunk, LinkError
+from devices.link_counts import LinkCounts
 
 
 async def test_chunks_come_in_order_with_their_times():
@@ -99,19 +100,21 @@ async def test_first_end_counts():
 
 
 async def test_oldest_are_dropped_and_counted_when_the_reader_is_too_far_behind():
-    arrivals = Arrivals("suit", limit_bytes=10)
+    counts = LinkCounts()
+    arrivals = Arrivals("suit", 10, counts)
     for index in range(6):
         arrivals.put(bytes([index]) * 4, index)
     arrivals.end()
     assert [chunk.arrived_ns async for chunk in arrivals] == [4, 5]
-    assert (arrivals.dropped_chunks, arrivals.dropped_bytes) == (4, 16)
+    assert (counts.behind, counts.handed) == (16, 8)
 
 
 async def test_a_chunk_larger_than_the_limit_is_kept():
-    arrivals = Arrivals("suit", limit_bytes=2)
+    counts = LinkCounts()
+    arrivals = Arrivals("suit", 2, counts)
     arrivals.put(b"large", 1)
     assert (await anext(arrivals)).data == b"large"
-    assert arrivals.dropped_chunks == 0
+    assert counts.behind == 0
 
 
 async def test_cancelled_reader_loses_nothing():

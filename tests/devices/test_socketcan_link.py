@@ -111,7 +111,7 @@ async def test_frames_that_the_kernel_dropped_are_counted(monkeypatch):
     await link.close()
 
 
-async def test_interface_that_goes_down_is_a_loss(joined, monkeypatch):
+async def test_interface_that_goes_down_is_a_loss(joined):
     link, _ = joined
 
     class Down:

@@ -117,7 +117,7 @@ async def test_node_subscriber(mosquitto, mqtt_js, until):
     np.testing.assert_allclose(json.loads(q), SKELETON.neutral, atol=1e-6)
 
 
-def test_every_example_receives_the_demo(mqtt_js, command, tmp_path):
+def test_every_example_receives_the_demo(mqtt_js, command):
     """As the page of the examples says: against ``demo --keep``, over MQTT and over a WebSocket."""
     port, websocket_port = free_port(), free_port()
     options = ("--rig", "robot_arm_4", "--reconstructor", "independent", "--no-page")

@@ -20,8 +20,7 @@ from gateway.frames import SkeletonFrame
 from gateway.outputs.settings import OutputsSettings
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.recording import SkeletonArrays
-from gateway.recording.exporters.axes import Axes
-from gateway.recording.exporters.formats import FORMATS
+from gateway.recording.exporters.formats import FORMATS, Axes
 from gateway.recording.exporters.take import take_of
 from tests.patience import PATIENCE_S
 

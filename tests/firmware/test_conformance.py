@@ -180,7 +180,7 @@ def test_the_command_reports_and_says_how_it_went(module):
     assert "there is no rule 'helo'" in str(nonsense.exception or nonsense.output)
 
 
-def test_a_silent_line_is_told(tmp_path):
+def test_a_silent_line_is_told():
     with contextlib.ExitStack() as stack:
         master, slave = os.openpty()
         stack.callback(os.close, master)

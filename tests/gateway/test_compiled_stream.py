@@ -41,7 +41,7 @@ from gateway.emulation.both_ways import BothWays, Difference
 from gateway.sources import compiled_decoding
 from gateway.sources import stream as readable_way
 from gateway.sources.clock_mode import ClockMode
-from gateway.sources.losses import Cause
+from gateway.sources.statistics import Cause
 from gateway.sources.stream import Stream
 
 START_NS = 1_800_000_000_000_000_000

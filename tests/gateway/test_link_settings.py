@@ -5,7 +5,7 @@ import pytest
 from gateway.body.rig import load_rig
 from gateway.errors import SettingsError
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
-from gateway.sources.gnss.link_settings import GnssLinkSettings
+from gateway.sources.link_settings import GnssLinkSettings
 
 
 def settings_of(tmp_path, *links):

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.clocks import EstimatedClock
-from gateway.sources.losses import Cause, LinkLosses
-from gateway.sources.statistics import ModuleRecord, SequenceCounter
+from gateway.sources.statistics import Cause, LinkLosses, ModuleRecord, SequenceCounter
 
 LINK = LinkLosses()
 

@@ -268,7 +268,7 @@ async def test_a_port_in_use_is_named(commanded_suit, mosquitto):
                 await service.run()
 
 
-async def test_the_health_command_is_for_scripts(commanded_suit, mosquitto, until):
+async def test_the_health_command_is_for_scripts(commanded_suit, mosquitto):
     async with (
         commanded_suit() as suit,
         gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, _, _serving),

@@ -31,9 +31,9 @@ class _Ends:
 class SignedTcpTransport(TcpTransport):
     """The whole suit behind one connection, signed."""
 
-    def __init__(self, key_file: Path, port: int = 0, host: str = "127.0.0.1") -> None:
+    def __init__(self, key_file: Path, port: int = 0) -> None:
         """Prepare to listen, with a key. Raises ``ValueError`` as ``read_key`` does."""
-        super().__init__(port, host)
+        super().__init__(port)
         self._ends = _Ends(key_file)
         self._partial = b""
 

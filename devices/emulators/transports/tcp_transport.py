@@ -7,6 +7,7 @@ import asyncio
 from devices.emulators.transports.transport import OnReceive, ignore
 from devices.link import Framing
 
+_HOST = "127.0.0.1"
 _BUFFER_LIMIT = 64 * 1024
 
 
@@ -19,9 +20,8 @@ class TcpTransport:
 
     framing = Framing.BYTE_STREAM
 
-    def __init__(self, port: int = 0, host: str = "127.0.0.1") -> None:
+    def __init__(self, port: int = 0) -> None:
         """Prepare to listen; port 0 takes a free one."""
-        self.host = host
         self.port = port
         """Port listened on, once open."""
         self.connections_made = 0
@@ -33,12 +33,12 @@ class TcpTransport:
     @property
     def url(self) -> str:
         """Where a host finds it, as a ``url`` of its configuration; empty while closed."""
-        return f"tcp://{self.host}:{self.port}" if self._server is not None else ""
+        return f"tcp://{_HOST}:{self.port}" if self._server is not None else ""
 
     async def open(self) -> None:
         """Listen. Raises ``OSError`` when the port is taken."""
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(lambda: _Client(self), self.host, self.port)
+        self._server = await loop.create_server(lambda: _Client(self), _HOST, self.port)
         self.port = self._server.sockets[0].getsockname()[1]
 
     def offer(self, data: bytes) -> bool:

@@ -30,7 +30,7 @@ from gateway.reconstruction.optical.bundle import (
     with_sigmas,
 )
 from gateway.reconstruction.optical.ghosts import other_sizes
-from gateway.reconstruction.optical.joint_ranges import bent_backwards, shown_joints, turned_about
+from gateway.reconstruction.optical.joint_ranges import impossible_joints, shown_joints
 from gateway.reconstruction.optical.landmarks import (
     Measured,
     SegmentPlaces,
@@ -181,25 +181,15 @@ def fit_body(
     if progress is not None:
         progress(1, 2)
     bending = [] if options.neutral is not None else _bending(marker_set)
-    begun = Adjusted(evidence.model, evidence.poses, weighted_rmse(evidence.poses), 0)
-    done, tips = turned(begun, skeleton.tips, turns_to_bending(evidence.model, evidence.poses, bending))
-    moved, found = np.zeros(skeleton.n_segments), _Found(done, is_functional=False)
-    if options.centres != "rules":
-        found = _found_in_motion(marker_set, done, evidence.observed, options.centres, bending)
-        done = found.done
-        moved = np.linalg.norm(done.model.offsets - skeleton.offsets, axis=1)
-        if options.neutral is None:
-            done, tips = turned(done, tips, turns_to_rules(done.poses, evidence.axes))
-            done, tips = turned(done, tips, turns_to_bending(done.model, done.poses, bending))
-        else:
-            stood = _standing(sightings[0], markers, marker_set, options.neutral, trials[0])
-            done, tips = _anchored_in_neutral(
-                marker_set, done, evidence.observed, stood, tips, options.centres
-            )
+    stood = None
+    if options.neutral is not None:
+        stood = _standing(sightings[0], markers, marker_set, options.neutral, trials[0])
+    found, tips, moved = _shaped(marker_set, skeleton, evidence, options.centres, bending, stood)
+    done = found.done
     final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
     if progress is not None:
         progress(2, 2)
-    backwards = bent_backwards(marker_set.body, final, done.poses)
+    backwards, turned_about = impossible_joints(marker_set.body, final, done.poses)
     own_labels = tuple(dressed.file_labels[label] for label in markers.labels)
     sized = resized(marker_set, final.offsets, tips)
     return Fit(
@@ -223,7 +213,7 @@ def fit_body(
         other_axes=other_axes,
         backwards=backwards,
         strangers=dressed.strangers,
-        turned=() if backwards else tuple(turned_about(marker_set.body, done.poses)),
+        turned=turned_about,
         is_still=all(_largest_stray(sighting.markers) < _STILL for sighting in sightings),
     )
 
@@ -273,6 +263,34 @@ class _Found(NamedTuple):
     """Segments whose joints come from a regression, and went as far as it lets them."""
     rmse_free: float = np.nan
     """m, were they let go."""
+
+
+def _shaped(
+    marker_set: MarkerSet,
+    skeleton: Skeleton,
+    evidence: _Evidence,
+    centres: str,
+    bending: Sequence[int],
+    stood: FloatArray | None,
+) -> tuple[_Found, FloatArray, FloatArray]:
+    """Return the body with its joints by motion and rules, its tips (S, 3), m, and how far the motion moved
+    every joint (S,), m.
+
+    stood: frames (n, M, 3) m whose posture gives the axes; None: rules do.
+    """
+    begun = Adjusted(evidence.model, evidence.poses, weighted_rmse(evidence.poses), 0)
+    done, tips = turned(begun, skeleton.tips, turns_to_bending(evidence.model, evidence.poses, bending))
+    if centres == "rules":
+        return _Found(done, is_functional=False), tips, np.zeros(skeleton.n_segments)
+    found = _found_in_motion(marker_set, done, evidence.observed, centres, bending)
+    done = found.done
+    moved = np.linalg.norm(done.model.offsets - skeleton.offsets, axis=1)
+    if stood is None:
+        done, tips = turned(done, tips, turns_to_rules(done.poses, evidence.axes))
+        done, tips = turned(done, tips, turns_to_bending(done.model, done.poses, bending))
+    else:
+        done, tips = _anchored_in_neutral(marker_set, done, evidence.observed, stood, tips, centres)
+    return found._replace(done=done), tips, moved
 
 
 def _found_in_motion(

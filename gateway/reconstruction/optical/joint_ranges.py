@@ -50,10 +50,20 @@ def shown_joints(
     return tuple(joints)
 
 
-def bent_backwards(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) -> tuple[str, ...]:
-    """Return the joints, left and right, that by the body file hardly bend to one side, and in the poses bend
-    to that side only: left and right are exchanged, or the world is a mirror's. Where none bends, those whose
-    segments are turned about against one another."""
+def impossible_joints(
+    skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the joints that are backwards, left and right: left and right are exchanged, or the world is a
+    mirror's. They bend only to the side to which they hardly can; where none does, their segments are turned
+    about against one another. Where nothing is backwards, return also those turned about on one side."""
+    about = _turned_about(skeleton, poses)
+    backwards = _on_both_sides(_bent_backwards(skeleton, model, poses)) or _on_both_sides(about)
+    return backwards, () if backwards else tuple(about)
+
+
+def _bent_backwards(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) -> list[str]:
+    """Return the joints that by the body file hardly bend to one side, and in the poses bend to that side
+    only."""
     rows = {int(distal): row for row, distal in enumerate(model.distals)}
     found = []
     for joint in skeleton.joints:
@@ -72,7 +82,7 @@ def bent_backwards(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) 
         bent, other = (-low, high) if is_forward else (high, -low)
         if bent > _BACKWARDS and other < _HARDLY:
             found.append(joint.name)
-    return _on_both_sides(found) or _on_both_sides(turned_about(skeleton, poses))
+    return found
 
 
 def _on_both_sides(names: Sequence[str]) -> tuple[str, ...]:
@@ -80,7 +90,7 @@ def _on_both_sides(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in names if name.replace("left_", "right_") in both.intersection(names))
 
 
-def turned_about(skeleton: Skeleton, poses: Sequence[Pose]) -> list[str]:
+def _turned_about(skeleton: Skeleton, poses: Sequence[Pose]) -> list[str]:
     """Return the joints that by the body file stay within ``_TURNED_ABOUT``, and in most poses do not."""
     R = np.stack([pose.R for pose in poses])
     found = []

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest
-from gateway.support.settings_files import find_file, load_settings
+from gateway.support.settings_files import Strict, find_file, load_settings
 
 Line = tuple[str, str]
 Axis = Literal["x", "y", "z"]
@@ -24,11 +24,7 @@ MARKER_RADIUS = "marker_radius"
 """Half of that, as a length in rules."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Measurement(_Strict):
+class Measurement(Strict):
     """A length of the person that rules need."""
 
     parameters: list[str] = Field(default=[], description="names under which C3D files tell it, file units")
@@ -37,20 +33,20 @@ class Measurement(_Strict):
     )
 
 
-class Angle(_Strict):
+class Angle(Strict):
     """An angle of the person that rules need; 0 where nobody tells it."""
 
     parameters: list[str] = Field(default=[], description="names under which C3D files tell it, rad")
 
 
-class Between(_Strict):
+class Between(Strict):
     """A point on a line."""
 
     line: Line
     fraction: float
 
 
-class Shifted(_Strict):
+class Shifted(Strict):
     """A point moved along a line's direction."""
 
     point: str
@@ -58,7 +54,7 @@ class Shifted(_Strict):
     by: Length
 
 
-class Perpendicular(_Strict):
+class Perpendicular(Strict):
     """A point moved across two lines."""
 
     point: str
@@ -74,7 +70,7 @@ class Perpendicular(_Strict):
         return self
 
 
-class Chord(_Strict):
+class Chord(Strict):
     """Joint centre inside a marker, by proximal joint and a third point."""
 
     proximal: str
@@ -97,7 +93,7 @@ class Chord(_Strict):
         return self
 
 
-class DavisHip(_Strict):
+class DavisHip(Strict):
     """Hip by pelvis width and leg length."""
 
     asis: Line
@@ -109,7 +105,7 @@ class DavisHip(_Strict):
     )
 
 
-class HaraHip(_Strict):
+class HaraHip(Strict):
     """Hip by leg length alone."""
 
     asis: Line
@@ -118,7 +114,7 @@ class HaraHip(_Strict):
     leg: Length
 
 
-class HarringtonHip(_Strict):
+class HarringtonHip(Strict):
     """Hip by width and depth of the pelvis."""
 
     asis: Line
@@ -126,7 +122,7 @@ class HarringtonHip(_Strict):
     side: Side
 
 
-class ScaledOffset(_Strict):
+class ScaledOffset(Strict):
     """A point at fractions of a length along a segment's axes."""
 
     origin: str
@@ -135,7 +131,7 @@ class ScaledOffset(_Strict):
     of: Line
 
 
-class BelowLine(_Strict):
+class BelowLine(Strict):
     """A point moved down by a fraction of a line's length."""
 
     point: str
@@ -143,7 +139,7 @@ class BelowLine(_Strict):
     fraction: float
 
 
-class RightTriangle(_Strict):
+class RightTriangle(Strict):
     """A point half a width inside a lateral marker, across the plane of two bones."""
 
     proximal: str
@@ -153,7 +149,7 @@ class RightTriangle(_Strict):
     side: Side = Field(description="of an elbow or ankle; the other one for a knee, which bends backward")
 
 
-class PointRule(_Strict):
+class PointRule(Strict):
     """How a point follows from others: exactly one of these."""
 
     midpoint: list[str] | None = None
@@ -181,7 +177,7 @@ class PointRule(_Strict):
         return next(iter(self.model_fields_set))
 
 
-class AxesRule(_Strict):
+class AxesRule(Strict):
     """A segment's axes: two lines from point to point, the second made perpendicular to the first."""
 
     primary: tuple[Axis, str, str]
@@ -194,7 +190,7 @@ class AxesRule(_Strict):
         return self
 
 
-class SegmentRule(_Strict):
+class SegmentRule(Strict):
     """Where a segment is, by points."""
 
     origin: str = Field(description="point of its proximal joint")
@@ -211,7 +207,7 @@ class SegmentRule(_Strict):
     )
 
 
-class MarkerSetFile(_Strict):
+class MarkerSetFile(Strict):
     """Markers, points, segments."""
 
     name: str
@@ -220,8 +216,8 @@ class MarkerSetFile(_Strict):
         description="markers low on the standing body, markers high on it: finds the axis that points up"
     )
     marker_radius_m: float = Field(default=0.007, ge=0, lt=0.1)
-    measurements: dict[str, Measurement] = {}
-    angles: dict[str, Angle] = {}
+    measurements: dict[str, Measurement] = Field(default={})
+    angles: dict[str, Angle] = Field(default={})
     markers: dict[str, list[str]] = Field(description="segment to the markers on it")
     aliases: dict[str, list[str]] = Field(
         default={},
@@ -234,7 +230,7 @@ class MarkerSetFile(_Strict):
     segments: dict[str, SegmentRule]
 
 
-class MarkerSet(_Strict):
+class MarkerSet(Strict):
     """A checked marker set with its body."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)

@@ -80,7 +80,6 @@ class Pose(NamedTuple):
     residuals: FloatArray  # (M,) m, distance of measured and virtual marker; NaN: not seen
     weights: FloatArray  # (M,) 0 … 1: robust weight of each marker
     factor: FloatArray  # (3 + 3 S, 3 + 3 S) lower Cholesky factor of the normal matrix
-    iterations: int
 
 
 def body_model(skeleton: Skeleton, markers: BodyMarkers) -> BodyModel:
@@ -217,9 +216,9 @@ def solve_pose(
     H, g, joints = normal_equations(model, observed, robust_weights, R, p)
     joints += add_held(H, g, model, R, root, held)
     damping = _FIRST_DAMPING
-    steps = 0
-    while steps < longest and damping < _WORST_DAMPING:
-        steps += 1
+    for _ in range(longest):
+        if damping >= _WORST_DAMPING:
+            break
         L = H.copy()
         kernels.mirrored(L)
         for i in range(len(L)):
@@ -245,7 +244,7 @@ def solve_pose(
         joints += add_held(H, g, model, R, root, held)
         if np.max(np.abs(delta)) < _SMALLEST_STEP or before - after < _SMALLEST_GAIN * before:
             break
-    return Pose(R, root, _residuals(observed, y), robust_weights, _factor(H), steps)
+    return Pose(R, root, _residuals(observed, y), robust_weights, _factor(H))
 
 
 @compiled

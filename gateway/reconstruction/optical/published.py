@@ -47,8 +47,6 @@ class PublishedMotion:
     markers: BodyMarkers
     """With the virtual markers of the last pass."""
     passes: int
-    distance_mm: float
-    """Summed over all markers and frames, after the last pass."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,6 @@ def solve_published(
     observed = trial.observed
     R, places = trial.axes.copy(), trial.root.copy()
     before = np.inf
-    distance = 0.0
     passes = 0
     for passes in range(1, (_MOST_PASSES if refine else 1) + 1):  # noqa: B007 - told in the result
         R, places = _one_pass(skeleton, model, observed, R, places, progress)
@@ -88,7 +85,7 @@ def solve_published(
         model = model._replace(positions=_mean_places(model, observed, R, places))
     smooth = _smoothed(R, trial.rate_hz)
     found = BodyMarkers(markers.labels, markers.segments, model.positions, markers.sigmas, markers.vertical)
-    return PublishedMotion(smooth, places, found, passes, distance)
+    return PublishedMotion(smooth, places, found, passes)
 
 
 def _one_pass(

@@ -14,11 +14,12 @@ from functools import partial
 
 import numpy as np
 
+from gateway.body.camera import Camera, project
 from gateway.errors import GatewayError
-from gateway.frames import FloatArray, HeatMapFrame
-from gateway.reconstruction.video.camera import Camera
+from gateway.frames import CameraHeatMaps, FloatArray, HeatMapFrame
+from gateway.geometry.compiled import compiled
 from gateway.reconstruction.video.keypoint_set import KeypointSet
-from gateway.reconstruction.video.masking import without_others
+from gateway.reconstruction.video.lattice import Maps
 from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.reconstruction.video.tracker import KeypointTracker, VideoOptions
 
@@ -90,10 +91,9 @@ class VideoCrowd:
         cameras: Sequence[Camera],
         keypoints: KeypointSet,
         n_people: int,
-        options: VideoOptions | None = None,
     ) -> None:
         self._cameras = tuple(cameras)
-        self._make = partial(KeypointTracker, cameras, keypoints, options or VideoOptions())
+        self._make = partial(KeypointTracker, cameras, keypoints, VideoOptions())
         self._people = [_Followed(self._make()) for _ in range(n_people)]
         self.same_as: dict[int, int] = {}
         """People who turned out to be another one, with that one."""
@@ -183,3 +183,35 @@ class VideoCrowd:
             for camera, seen in zip(self._cameras, frame.cameras, strict=True)
         )
         return replace(frame, cameras=maps)
+
+
+def without_others(
+    camera: Camera, maps: CameraHeatMaps, own: FloatArray, others: Sequence[FloatArray]
+) -> CameraHeatMaps:
+    """Return the maps with zero wherever another person's same keypoint is expected nearer by than the own
+    one.
+
+    own, others: (n_keypoints, 3) m, expected in this frame.
+    """
+    A = maps.map_from_pixel
+    here = project(camera, own) @ A[:, :2].T + A[:, 2]
+    likelihood = maps.likelihood.copy()
+    for other in others:
+        there = project(camera, other) @ A[:, :2].T + A[:, 2]
+        _clear(likelihood, here, there)
+    return CameraHeatMaps(likelihood, A)
+
+
+@compiled
+def _clear(likelihood: Maps, here: FloatArray, there: FloatArray) -> None:
+    """Zero what is nearer to ``there`` than to ``here``, (n_keypoints, 2) columns and rows."""
+    n, rows, columns = likelihood.shape
+    for m in range(n):
+        x, y = there[m, 0] - here[m, 0], there[m, 1] - here[m, 1]
+        if not np.isfinite(x * y):
+            continue
+        half = 0.5 * (x * (there[m, 0] + here[m, 0]) + y * (there[m, 1] + here[m, 1]))
+        for i in range(rows):
+            for j in range(columns):
+                if x * j + y * i > half:
+                    likelihood[m, i, j] = 0.0

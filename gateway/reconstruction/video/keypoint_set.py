@@ -7,24 +7,20 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest
-from gateway.support.settings_files import find_file, load_settings
+from gateway.support.settings_files import Strict, find_file, load_settings
 
 SIGMA = 0.025
 """How far a network's keypoint strays from its place on the body when a map is as high as it can be, m."""
 Metres = Annotated[float, Field(gt=-1.0, lt=1.0, allow_inf_nan=False)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class KeypointEntry(_Strict):
+class KeypointEntry(Strict):
     """One keypoint on the body."""
 
     segment: str = Field(description="segment that carries it")
@@ -34,7 +30,7 @@ class KeypointEntry(_Strict):
     shows: list[str] = Field(default=[], description="more segments whose orientation it tells")
 
 
-class KeypointSetFile(_Strict):
+class KeypointSetFile(Strict):
     """A file of ``config/keypoint_sets``."""
 
     name: str

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.cameras.orders import Joined, Square, encode_orders
+from gateway.body.camera import Camera, project
 from gateway.frames import FloatArray
-from gateway.reconstruction.video.camera import Camera, project
-from gateway.reconstruction.video.regions import person_region, square_of
+from gateway.reconstruction.video.region import person_region, square_of
 
 WHOLE = 0.97
 """Share of the keypoints in a picture, from which nothing is missing in it."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.body.camera import Camera
 from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame
-from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.inverse_kinematics import VideoBodyPose
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.posing import SmoothedPoses, no_frame, skeleton_frame, statuses

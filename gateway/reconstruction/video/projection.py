@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gateway.body.camera import Camera
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.video.camera import Camera
 
 _STEPS = 20
 """Of the fixed-point iteration that takes distortion out; a hundredth of a pixel needs five to ten."""

@@ -9,15 +9,14 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.body.camera import Camera
 from gateway.body.rig import WorldSettings, worn_without_modules
 from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
 from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame
-from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
 from gateway.reconstruction.video.networks.weights import keypoint_set_of
 from gateway.reconstruction.video.posing import SmoothedPoses, no_frame, skeleton_frame, statuses
-from gateway.reconstruction.video.region import PersonRegion
-from gateway.reconstruction.video.regions import person_region
+from gateway.reconstruction.video.region import PersonRegion, person_region
 from gateway.reconstruction.video.tracker import KeypointTracker, VideoOptions
 
 __all__ = [

@@ -1,5 +1,5 @@
 """The part of a picture that a pose network looks at: a square about one person, turned so that the trunk
-stands upright in it."""
+stands upright in it. Where it will be in the next picture is step 7 of JP2020-042476A."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from devices.cameras.orders import Square
+from gateway.body.camera import Camera, project
 from gateway.frames import CameraHeatMaps, FloatArray
 
 ROLL_STEP = np.radians(30.0)
@@ -20,6 +22,8 @@ _LEAST_LIKELIHOOD = 0.3
 _FEWEST = 6
 """Keypoints that must be likely for a region to follow from them."""
 _LEAST_PIXELS = 16.0
+_LEAST_SHARE = 0.4
+"""Of the keypoints, that must be in the picture for the camera to count as seeing the person."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +85,30 @@ def peaks(maps: CameraHeatMaps) -> tuple[FloatArray, FloatArray]:
     linear, shift = maps.map_from_pixel[:, :2], maps.map_from_pixel[:, 2]
     points = np.asarray(np.linalg.solve(linear, (places - shift).T).T, dtype=np.float64)
     return points, flat[np.arange(n), best].astype(np.float64)
+
+
+def square_of(region: PersonRegion | None) -> Square | None:
+    """Return a region as cameras are told of it."""
+    if region is None:
+        return None
+    x, y = region.centre.tolist()
+    return x, y, region.size, region.roll
+
+
+def person_region(
+    camera: Camera, keypoints: FloatArray, names: Sequence[str], *, must_see: bool = True
+) -> PersonRegion | None:
+    """Return the region of a person with keypoints (n_keypoints, 3) m of those names; None: the camera does
+    not see the person, and is left out.
+
+    must_see: None too where most of the person is beyond the picture's border.
+    """
+    pixels = project(camera, keypoints)
+    with np.errstate(invalid="ignore"):
+        inside = ((pixels > 0) & (pixels < (camera.width - 1, camera.height - 1))).all(axis=1)
+    if must_see and inside.mean() < _LEAST_SHARE:
+        return None
+    return region_of_points(pixels, np.ones(len(pixels)), names)
 
 
 def _middle(

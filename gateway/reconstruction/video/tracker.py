@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.body.camera import Camera
 from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Held
 from gateway.reconstruction.optical.tracking import rigid
 from gateway.reconstruction.video import initial, lattice, one_camera
-from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.inverse_kinematics import (
     Goal,
     VideoBody,

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from devices.deferred import Deferred
 from gateway.errors import GatewayError
-from gateway.recording.exporters.axes import Axes
 from gateway.support.extras import require_package
 from gateway.support.whole_files import replacing_by_name, writing
 
 if TYPE_CHECKING:
     from gateway.recording.exporters.take import Take
+
+
+class Axes(StrEnum):
+    """World axes of an export. Segment axes never change: x anterior, y superior, z to the right."""
+
+    Z_UP = "z-up"
+    """East, north, up: as published."""
+    Y_UP = "y-up"
+    """x east, y up, z south: BVH, glTF, OpenSim."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray
 from gateway.recording import Recording, SkeletonArrays
-from gateway.recording.exporters.axes import Axes
+from gateway.recording.exporters.formats import Axes
 
 _TURNS_DEG = {Axes.Z_UP: 0.0, Axes.Y_UP: -90.0}
 """About x."""

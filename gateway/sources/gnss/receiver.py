@@ -12,8 +12,8 @@ from devices.geodesy import LocalPlane
 from devices.link import Chunk
 from gateway.contract.balances import Balance
 from gateway.frames import FloatArray, LocalReading, Quantity
-from gateway.sources.gnss.link_settings import GnssLinkSettings
 from gateway.sources.gnss.sentences import Fix, GnssDecoder
+from gateway.sources.link_settings import GnssLinkSettings
 from gateway.sources.source import ListeningSource, SourceContext
 
 DATING_WINDOW_NS = 60_000_000_000

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from gateway.sources.light.cells import CellArray, CellSolution
-from gateway.sources.light.sun_compass import Rejected, SunCompass
-from gateway.sources.light.sun_position import sun_direction
+from gateway.sources.light.sun_compass import Rejected, SunCompass, sun_direction
 
 __all__ = ["CellArray", "CellSolution", "Rejected", "SunCompass", "sun_direction"]

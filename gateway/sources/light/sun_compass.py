@@ -9,15 +9,17 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from enum import Enum
 
 import numpy as np
+from astral import Observer
+from astral.sun import zenith_and_azimuth
 
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, ImuFrame, LightReading, SunSight
 from gateway.geometry import rotation_matrix
 from gateway.sources.light.cells import CellArray, CellSolution
-from gateway.sources.light.sun_position import sun_direction
 
 CARRIED_S = 0.05
 SILENT_S = 3.0
@@ -201,3 +203,17 @@ def _turn_along(module: _Module, rate: FloatArray, dt: float) -> None:
     """
     if dt != 0.0 and np.isfinite(module.direction[0]) and np.isfinite(rate).all():
         module.direction = rotation_matrix.from_rotation_vector(-rate * dt) @ module.direction
+
+
+def sun_direction(time_ns: int, latitude_deg: float, longitude_deg: float) -> FloatArray:
+    """Return (3,) unit vector to the apparent sun, ENU; up is negative at night.
+
+    By the library astral (NOAA's equations after Meeus, with refraction): within 0.02° of NREL's solar
+    position algorithm at the published example.
+
+    time_ns: UTC since 1970. latitude_deg: north; longitude_deg: east.
+    """
+    when = datetime.fromtimestamp(time_ns * 1e-9, UTC)
+    zenith, azimuth = zenith_and_azimuth(Observer(latitude_deg, longitude_deg), when)
+    up, around = math.radians(90.0 - zenith), math.radians(azimuth)
+    return np.array([math.cos(up) * math.sin(around), math.cos(up) * math.cos(around), math.sin(up)])

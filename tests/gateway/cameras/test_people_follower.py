@@ -14,7 +14,7 @@ from gateway.cameras.serving import Outlet
 from gateway.emulation.video_truth import ring_of_cameras, true_regions, walking
 from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
-from gateway.reconstruction.video.regions import square_of
+from gateway.reconstruction.video.region import square_of
 from tests.served_cameras import Scene
 
 KEYPOINTS = load_keypoint_set("blazepose_33")

@@ -12,7 +12,7 @@ from gateway.cameras.live_crowd import AHEAD
 from gateway.cameras.steering import Steering
 from gateway.emulation.video_truth import messages_of, ring_of_cameras, walking
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
-from gateway.reconstruction.video.regions import person_region
+from gateway.reconstruction.video.region import person_region
 from gateway.reconstruction.video.sides import pairs_of
 
 pytestmark = pytest.mark.timeout(600)  # whichever test comes first compiles

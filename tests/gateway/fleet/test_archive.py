@@ -231,9 +231,7 @@ def solved_bytes(archive: Archive) -> dict[str, bytes]:
 
 
 @pytest.mark.slow(reason="solves recordings in processes of Dask, three times")
-def test_solved_again_it_goes_on_and_gives_the_same_bytes_though_a_worker_is_killed(
-    archive: Archive, monkeypatch: pytest.MonkeyPatch
-):
+def test_solved_again_it_goes_on_and_gives_the_same_bytes_though_a_worker_is_killed(archive: Archive):
     names = ("serial", "walking", "relay", "trigger", "can", "devices")
     for name in names:
         path = CAPTURES / f"{name}.mcap"

@@ -325,7 +325,7 @@ async def test_a_second_gateway_of_one_name_is_told_by_both_on_two_nodes(
 
 
 @pytest.mark.system
-async def test_no_node_there_is_told_and_awaited(pose_source: PoseSource, until: Until) -> None:
+async def test_no_node_there_is_told_and_awaited(pose_source: PoseSource) -> None:
     settings = MqttSettings(port=9, failover=("127.0.0.1:10", "127.0.0.1:11"))
     async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
         output.offer(pose_source.frame(1))

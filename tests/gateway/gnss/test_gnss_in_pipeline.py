@@ -16,7 +16,7 @@ from gateway.cli.emulate import without_position_devices
 from gateway.emulation.rig import dress, move
 from gateway.pipeline import Pipeline
 from gateway.sources.clock_mode import ClockMode
-from gateway.sources.gnss.link_settings import GnssLinkSettings
+from gateway.sources.link_settings import GnssLinkSettings
 from gateway.stages.frame_assembler import AssemblyParams
 
 SECONDS = 6.0

@@ -172,7 +172,7 @@ async def test_over_tcp_the_gateway_connects_to_the_app_as_mvn_does_and_again_wh
     assert caplog.text.count("refused the connection: start what should listen there") >= 1
 
 
-async def test_an_app_that_does_not_read_costs_poses_and_gets_no_old_ones(until, unused_port, monkeypatch):
+async def test_an_app_that_does_not_read_costs_poses_and_gets_no_old_ones(unused_port, monkeypatch):
     monkeypatch.setattr(stream_sink, "AGAIN_S", 0.01)
     skeleton, rng = load_rig("mvn_fused_23").skeleton, np.random.default_rng(8)
     with socket.create_server(("127.0.0.1", unused_port)) as listening:

@@ -138,7 +138,7 @@ def test_wrong_settings_are_refused(wrong):
         OutputsSettings(vmc=wrong)
 
 
-async def test_an_lsl_stream_is_received_with_its_instants(monkeypatch):
+async def test_an_lsl_stream_is_received_with_its_instants():
     try:
         import pylsl  # noqa: PLC0415
     except (ImportError, RuntimeError, OSError) as error:

@@ -75,7 +75,7 @@ def test_a_method_is_ready_while_all_that_it_called_is_there_as_it_was(let_throu
 
 
 @pytest.mark.slow(reason="compiles for ten seconds or more into an empty cache")
-def test_kernels_that_were_shipped_are_taken(let_through, tmp_path, monkeypatch):
+def test_kernels_that_were_shipped_are_taken(let_through, tmp_path):
     """Moved as a wheel or an image moves them, with other times, and beside a cache that is empty."""
     shutil.copytree(let_through, tmp_path / "shipped", copy_function=shutil.copyfile)
     shutil.rmtree(let_through)

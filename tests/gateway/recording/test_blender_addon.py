@@ -20,7 +20,7 @@ from gateway.frames import SkeletonFrame
 from gateway.outputs.settings import UdpJsonSettings
 from gateway.outputs.side_outputs import JsonDatagrams
 from gateway.recording import open_recording
-from gateway.recording.exporters.axes import Axes
+from gateway.recording.exporters.formats import Axes
 from gateway.recording.exporters.take import Take, take_of
 from tests.fixtures.processes import REPOSITORY
 

@@ -67,7 +67,7 @@ def test_a_damaged_byte_costs_a_piece_at_most_and_is_never_believed(whole, tmp_p
     assert all(any(item == other for other in remaining) for item in found)  # in order, none invented
 
 
-def test_recovering_in_place_keeps_the_file_until_the_new_one_is_whole(whole, tmp_path):
+def test_recovering_in_place_keeps_the_file_until_the_new_one_is_whole(whole):
     path, data, items = whole
     path.write_bytes(data[:-500])
     done = recover_in_place(path)

@@ -109,7 +109,7 @@ def test_another_calibration_turns_the_segment_and_is_kept_with_the_result(recor
         write_solved(recording, target, other)
 
 
-def test_the_recorded_clock_table_is_used_where_the_file_is_gone(record, tmp_path):
+def test_the_recorded_clock_table_is_used_where_the_file_is_gone(record):
     recording = open_recording(record())
     table = "reference: 0\nranking: [0, 1]\nalpha: {0: [1.0], 1: [1.00001]}\n"
     recording.meta.attachments = {**recording.meta.attachments, fmt.CLOCK_TABLE: table.encode()}

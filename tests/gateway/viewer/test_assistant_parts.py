@@ -201,7 +201,7 @@ async def test_what_goes_wrong_is_told_whatever_it_is(error, said):
     async def action():
         raise error
 
-    Errands(asyncio.get_running_loop()).start(action, told.put_nowait)
+    Errands().start(action, told.put_nowait)
     assert said in await told.get()
 
 

@@ -17,13 +17,13 @@ from gateway.viewer.step_tab import _PLACE, Errands  # noqa: E402
 
 @pytest.fixture
 async def place():
-    """What a tab is built with: server, tabs, a gateway that answers nothing, and the loop."""
+    """What a tab is built with: server, tabs, and a gateway that answers nothing."""
 
     async def ask(_family, _verb, _data):
         return {}
 
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
-    yield server, server.gui.add_tab_group(), ask, asyncio.get_running_loop()
+    yield server, server.gui.add_tab_group(), ask
     server.stop()
 
 
@@ -45,12 +45,12 @@ async def test_a_movement_stays_chosen(place):
 
 def answering(place, **answers):
     """The same place, with a gateway that answers by verb."""
-    server, tabs, _, loop = place
+    server, tabs, _ = place
 
     async def ask(_family, verb, _data):
         return answers[verb]
 
-    return server, tabs, ask, loop
+    return server, tabs, ask
 
 
 LISTED = {
@@ -73,7 +73,7 @@ LISTED = {
 
 
 async def test_a_module_and_a_segment_stay_chosen(place):
-    server, tabs, ask, _ = answering(place, list=LISTED)
+    server, tabs, ask = answering(place, list=LISTED)
     marked = []
     tab = Assistant(server, tabs, ask, marked.append)
     assert not tab._segment.visible, "what cannot be done yet is not shown"
@@ -90,7 +90,7 @@ async def test_a_module_and_a_segment_stay_chosen(place):
 
 
 async def test_a_module_stays_chosen_that_has_another_id_now(place):
-    server, tabs, ask, _ = answering(place, list=LISTED)
+    server, tabs, ask = answering(place, list=LISTED)
     tab = Assistant(server, tabs, ask, lambda _segment: None)
     await pressed(tab._look)
     tab._device.value = "5 · left forearm · …bbbbbb"
@@ -122,8 +122,8 @@ FOUND = {"modules": {"5": {"gyroscope": {"quality": "good", "reasons": []}}}}
 
 
 async def test_tables_of_the_sensors_speak_the_language_that_is_chosen(place):
-    server, tabs, ask, loop = answering(place, begin={}, status=STATUS, result=FOUND)
-    tab = SensorTab(server, tabs, ask, loop)
+    server, tabs, ask = answering(place, begin={}, status=STATUS, result=FOUND)
+    tab = SensorTab(server, tabs, ask)
     await pressed(tab._begin)
     assert "left forearm" in tab._table.content
     tab.set_language("de")
@@ -136,8 +136,8 @@ async def test_tables_of_the_sensors_speak_the_language_that_is_chosen(place):
 
 async def test_limbs_that_can_be_measured_have_names(place):
     measures = {"subject": {"height_m": 1.8}, "lengths": {"left_forearm": 0.25}}
-    server, tabs, ask, loop = answering(place, measure=measures)
-    tab = BodySteps(server, tabs, ask, loop)
+    server, tabs, ask = answering(place, measure=measures)
+    tab = BodySteps(server, tabs, ask)
     tab.set_language("de")
     await tab._take_measures()
     assert tab._length.options[1:] == ("linker Unterarm",)
@@ -146,9 +146,9 @@ async def test_limbs_that_can_be_measured_have_names(place):
     assert tab._metres.value == 0.25
 
 
-async def test_what_nobody_has_foreseen_is_told_in_the_language_that_is_chosen(place):
+async def test_what_nobody_has_foreseen_is_told_in_the_language_that_is_chosen():
     told = asyncio.Queue()
-    errands = Errands(place[3])
+    errands = Errands()
     errands.language = "de"
 
     async def fails():

@@ -126,10 +126,10 @@ def _is_same(person: Person, other: Person) -> bool:
     return apart < 0.5 * min(person.radius, other.radius)
 
 
-def whole_picture(picture: Picture, roll: float = 0.0) -> PersonRegion:
+def whole_picture(picture: Picture) -> PersonRegion:
     """Return a region that holds all of a picture."""
     height, width = picture.shape[:2]
-    return PersonRegion(0.5 * np.array([width - 1.0, height - 1.0]), float(max(width, height)), roll)
+    return PersonRegion(0.5 * np.array([width - 1.0, height - 1.0]), float(max(width, height)), 0.0)
 
 
 @cache

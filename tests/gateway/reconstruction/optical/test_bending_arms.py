@@ -43,7 +43,7 @@ def _poses(flexions_deg: FloatArray, turned_deg: float, carrying_deg: float = 0.
         R[FOREARM] = R[ARM] @ Rotation.from_euler("ZX", [flexion, carrying_deg], degrees=True).as_matrix()
         R[ARM] = R[ARM] @ Rotation.from_euler("y", turned_deg, degrees=True).as_matrix()
         zero = np.zeros(1)
-        poses.append(Pose(R, np.zeros(3), zero, zero, np.eye(3 + 3 * n), 1))
+        poses.append(Pose(R, np.zeros(3), zero, zero, np.eye(3 + 3 * n)))
     return poses
 
 

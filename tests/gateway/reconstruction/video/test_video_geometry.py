@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from gateway.body.camera import project
 from gateway.emulation.video_truth import ring_of_cameras
 from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video import initial, lattice
-from gateway.reconstruction.video.camera import project
 from gateway.reconstruction.video.low_pass import DELAY, LowPass
 from gateway.reconstruction.video.projection import camera_model, pixel, ray, undistorted
 

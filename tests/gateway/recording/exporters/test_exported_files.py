@@ -23,8 +23,7 @@ from gateway.frames import Status
 from gateway.recording import SkeletonArrays
 from gateway.recording.arrays import MarkerArrays
 from gateway.recording.exporters import c3d as c3d_format
-from gateway.recording.exporters.axes import Axes
-from gateway.recording.exporters.formats import FORMATS
+from gateway.recording.exporters.formats import FORMATS, Axes
 from gateway.recording.exporters.take import take_of
 
 LARGEST_ANGLE = 1e-4  # rad

@@ -24,8 +24,7 @@ from gateway.frames import FloatArray
 from gateway.recording import open_recording
 from gateway.recording.exporters import foxglove as of_foxglove
 from gateway.recording.exporters import ros2
-from gateway.recording.exporters.axes import Axes
-from gateway.recording.exporters.formats import FORMATS
+from gateway.recording.exporters.formats import FORMATS, Axes
 from gateway.recording.exporters.message_file import samples_of
 from gateway.recording.exporters.take import Take, take_of
 from tests.gateway.recording.exporters.test_exported_files import ARRAYS
@@ -126,7 +125,7 @@ def test_joint_states_are_those_of_rep_155_and_the_same_angles(tmp_path, person)
         )
 
 
-def test_axes_are_those_of_rep_103(tmp_path, person):
+def test_axes_are_those_of_rep_103(person):
     """Standing and facing east, x of every segment is forward (east), y left (north), z up."""
     skeleton = person.skeleton
     q_wb = np.tile(skeleton.neutral, (skeleton.n_segments, 1))
@@ -194,7 +193,7 @@ def test_a_recording_shows_its_poses_to_viewers_as_it_is(record):
         assert_same_pose(arrays.skeleton, of_message(message), arrays.q_wb[k], arrays.p_w[k])
 
 
-def test_what_was_made_for_viewers_is_no_recording(record, tmp_path):
+def test_what_was_made_for_viewers_is_no_recording(record):
     path = record()
     exported = path.with_name(f"{path.stem}.ros2.mcap")
     ran = CliRunner().invoke(app, ["export", str(path), "--to", "ros2", "--json"])
