@@ -8,6 +8,7 @@ import pytest
 from gateway.emulation.fast_arm import Switches, fast_arm, fast_motion, sampled
 from gateway.reconstruction.inertial.tree.headings import define_headings, open_headings
 from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings, JointReconstructor
+from gateway.reconstruction.inertial.tree.start import take_back_heading
 from gateway.reconstruction.inertial.tree.state import (
     Heading,
     Started,
@@ -69,6 +70,20 @@ def test_what_neighbours_know_of_each_other_stays():
     define_headings(body, state, TUNING)
     np.testing.assert_allclose(between(), before, atol=1e-12)
     assert state.segments["P"][:, 2, 2].max() < 3.0 * OWN
+
+
+@pytest.mark.parametrize(("silent", "unknown"), [(0, [0]), (2, [2, 3, 4])])
+def test_a_heading_that_is_contradicted_becomes_unknown_on_the_side_that_gives_way(silent, unknown):
+    """Of the root alone that was found wrongly, and of all beyond a joint where the root is known better."""
+    body, state = body_and_state()
+    define_headings(body, state, TUNING)
+    state.segments["P"][unknown, 2, 2] += UNSEEN
+    state.segments["C"][unknown[1:], 2, 2] += UNSEEN
+    before = state.segments["P"][:, 2, 2].copy()
+    take_back_heading(body, state, TUNING, work_space(N), max(silent, 1))
+    more = state.segments["P"][:, 2, 2] - before
+    assert np.flatnonzero(more).tolist() == unknown
+    np.testing.assert_allclose(more[unknown], TUNING.unknown_heading**2)
 
 
 @pytest.mark.parametrize("change", ["unobserved", "sun", "device"])
