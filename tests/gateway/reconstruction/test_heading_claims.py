@@ -119,7 +119,7 @@ def test_tilts_are_told_as_sure_as_the_joints_around_them_agree(frames, uses_fie
         assert not covariance[-1, s, 1, 2, :2].any()
         of_heading = covariance[-1, s, 1, 2, 2]
         if uses_field:
-            assert of_heading < used.unknown_heading**2
+            assert of_heading == segments["compass"]["error_variance"][s] < used.unknown_heading**2
         else:
             assert of_heading == used.unknown_heading**2
         assert told[name]["sigma_tilt"] == pytest.approx(np.sqrt(np.trace(tilt)))
