@@ -77,7 +77,7 @@ def test_a_chain_that_nothing_aids_finds_down_again() -> None:
     late = [pose for pose in update_many(joint, observed) if pose.time_ns > observed[0].time_ns + 20e9]
     truth = chain.motion.state(np.array([pose.time_ns for pose in late]) * 1e-9).q_wb
     error = orientation_error(np.stack([pose.q_wb for pose in late]), truth)
-    assert np.degrees(error.inclination).mean() < 3.0
+    assert np.degrees(error.inclination).mean() < 1.5
 
 
 def test_a_tilt_that_is_wrong_is_no_acceleration_of_the_body() -> None:
