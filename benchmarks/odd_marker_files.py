@@ -21,9 +21,9 @@ import numpy as np
 from benchmarks.figures import replace_section, table
 from devices.marker_files import MarkerTrial, read_markers
 from devices.vendor_formats.sheets import FormatError
-from gateway.cli.optical import fit_doubts, lengths_of, uneven_sides
 from gateway.errors import GatewayError
-from gateway.reconstruction.optical.fitting import Fit, FitOptions, by_lacking, fit_body
+from gateway.reconstruction.optical.fitted_body import Fit, by_lacking, fit_doubts, uneven_sides
+from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.worn_markers import fitting_set
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -524,7 +524,7 @@ def outcome(paths: Sequence[Path]) -> tuple[str, str]:
 
 def _left_out(fit: Fit) -> list[str]:
     doubts = fit_doubts(fit)
-    lengths = lengths_of(fit)
+    lengths = fit.lengths_mm
     doubts += [
         f"{left} is {lengths[left]:.0f} mm long, {right} {lengths[right]:.0f} mm"
         for left, right in uneven_sides(lengths)

@@ -13,7 +13,8 @@ from benchmarks.optical import DATA
 from devices.marker_files import read_markers
 from gateway.emulation.optical_truth import TRIALS
 from gateway.frames import FloatArray, MarkerFrame
-from gateway.reconstruction.optical.fitting import Fit, fit_body
+from gateway.reconstruction.optical.fitted_body import Fit
+from gateway.reconstruction.optical.fitting import fit_body
 from gateway.reconstruction.optical.landmarks import to_world
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor

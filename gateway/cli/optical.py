@@ -6,12 +6,11 @@ import asyncio
 import json
 import math
 import signal
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Column, Table
@@ -35,20 +34,9 @@ from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:
     from devices.marker_files import MarkerTrial
-    from gateway.reconstruction.optical.fitting import Fit, FitOptions
+    from gateway.reconstruction.optical.fitted_body import Fit
+    from gateway.reconstruction.optical.fitting import FitOptions
     from gateway.recording.optical import SolvedTrial
-
-
-MOST_REST_MM = 20.0
-"""RMS: skin leaves 3 to 10."""
-LEAST_USED = 0.5
-"""Of the points seen, that had a say in a pose."""
-_NAMED = 12
-"""Of a file's markers in a note."""
-LEAST_UPRIGHT = 0.9
-"""Cosine between a body and an axis along which it stands, or lies."""
-MOST_UNEVEN = 1.15
-"""Longer over shorter, of the two segments of one name: beyond it a marker may sit elsewhere."""
 
 
 Length = Annotated[
@@ -149,12 +137,12 @@ def fit(
     chosen = known or fitting_set(trials, choice.person)
     with progress_bar("fitting the body", is_shown=not as_json) as progress:
         found = fit_body(chosen, trials, options, progress)
-    outcome = _fit_outcome(found, files, target)
+    outcome = {"file": str(target), "trials": [file.name for file in files], **found.figures()}
     _write_fit(found, outcome, target)
     if as_json:
         typer.echo(json.dumps(outcome, indent=2))
     else:
-        _print_fit(found, outcome, functional=choice.functional)
+        _print_fit(found, target, functional=choice.functional)
 
 
 def _read_trials(files: list[Path], is_shown: bool) -> list[MarkerTrial]:
@@ -219,173 +207,23 @@ def _angle(text: str) -> tuple[str, float]:
     return name, angle
 
 
-def _fit_outcome(found: Fit, files: list[Path], target: Path) -> dict[str, object]:
-    names = found.skeleton.segment_names
-    lengths_mm = lengths_of(found)
-    return {
-        "file": str(target),
-        "marker_set": found.marker_set,
-        "trials": [file.name for file in files],
-        "frames": found.frames,
-        "rmse_mm": round(1e3 * found.rmse, 2),
-        "markers": len(found.markers.labels),
-        "assumed": list(found.assumed),
-        "up": found.markers.vertical,
-        "angles_deg": {name: round(math.degrees(a), 2) for name, a in found.angles.items() if a},
-        "left_out": list(found.left_out),
-        "functional": found.is_functional,
-        "strained": list(found.strained),
-        "ghosts": dict(found.ghosts),
-        "exchanged": dict(found.exchanged),
-        "backwards": list(found.backwards),
-        "turned": list(found.turned),
-        "too_few": {name: list(labels) for name, labels in found.too_few.items()},
-        "lengths_mm": lengths_mm,
-        "uneven": uneven_sides(lengths_mm),
-        "moved_mm": {name: round(1e3 * float(d), 1) for name, d in zip(names, found.moved, strict=True)},
-        "sigma_mm": {
-            label: round(1e3 * float(s), 1)
-            for label, s in zip(found.markers.labels, found.markers.sigmas, strict=True)
-        },
-    }
+def _print_fit(found: Fit, target: Path, *, functional: bool) -> None:
+    from gateway.reconstruction.optical.fitted_body import fit_notes
 
-
-def lengths_of(found: Fit) -> dict[str, float]:
-    """Return the length of each segment, mm, by its name."""
-    return {
-        name: round(1e3 * float(np.linalg.norm(tip)), 1)
-        for name, tip in zip(found.skeleton.segment_names, found.skeleton.tips, strict=True)
-    }
-
-
-def uneven_sides(lengths_mm: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Return segments of the left and of the right, the longer more than ``MOST_UNEVEN`` times the
-    shorter."""
-    pairs = [(name, name.replace("left_", "right_", 1)) for name in lengths_mm if name.startswith("left_")]
-    return [
-        (left, right)
-        for left, right in pairs
-        if right in lengths_mm
-        and max(lengths_mm[left], lengths_mm[right]) > MOST_UNEVEN * min(lengths_mm[left], lengths_mm[right])
-    ]
-
-
-def _worn(found: Fit, name: str) -> str:
-    """Return labels of the markers on a segment."""
-    segment = found.skeleton.segment_names.index(name)
-    on = zip(found.markers.labels, found.markers.segments, strict=True)
-    return " ".join(label for label, where in on if where == segment)
-
-
-def _turned(found: Fit) -> list[tuple[str, str]]:
-    """Return the joints whose segments are turned about, each with the markers on that segment."""
-    distal = {joint.name: joint.distal for joint in found.skeleton.joints}
-    return [(name, _worn(found, found.skeleton.segment_names[distal[name]])) for name in found.turned]
-
-
-def fit_doubts(found: Fit) -> list[str]:
-    """Return what speaks against the files, a sentence each."""
-    doubts = []
-    if found.ghosts:
-        by_marker = ", ".join(f"{label} {count}" for label, count in found.ghosts.items())
-        doubts.append(f"points far from the markers beside them were left out ({by_marker})")
-    if found.exchanged:
-        by_marker = ", ".join(f"{label} {count}" for label, count in found.exchanged.items())
-        doubts.append(
-            f"left and right were exchanged in part of a trial, and put right (frames: {by_marker})"
-        )
-    if found.markers.vertical.startswith("-"):
-        axis = found.markers.vertical[1:]
-        doubts.append(f"{axis} points down in the files; a person on the hands is told with --up {axis}")
-    if found.backwards:
-        doubts.append(
-            f"{' and '.join(found.backwards)} bend backwards: left and right are exchanged in the markers' "
-            "names, or an axis of the file points the other way (a mirrored world)"
-        )
-    doubts += [
-        f"{name} is turned about: do two of the markers beyond it ({beyond}) have each other's name?"
-        for name, beyond in _turned(found)
-    ]
-    if found.strangers and (found.left_out or found.too_few):
-        names = ", ".join(found.strangers[:_NAMED]) + (", …" if len(found.strangers) > _NAMED else "")
-        doubts.append(
-            f"the set has no {names}: rename those that sit on a segment that is left out as the set "
-            "calls them, or describe them in a file and name it with --set"
-        )
-    if found.is_still:
-        doubts.append(
-            "nothing moves in the trials: joints are where rules have them, and skin where it is in this one "
-            "posture; name a trial with motion too"
-        )
-    doubts += [
-        f"{trial}: markers of one segment are {ratio:.2f} times as far apart as in the first trial: another "
-        "person, or another unit than the file tells"
-        for trial, ratio in found.other_sizes.items()
-    ]
-    doubts += [
-        f"{trial}: the body stands along {axis} there, along {found.markers.vertical} in the first trial: "
-        f"taken so; solve trials like it with --up {axis}"
-        for trial, axis in found.other_axes.items()
-    ]
-    if 1e3 * found.rmse > MOST_REST_MM:
-        worst = np.argsort(found.markers.sigmas)[::-1][:4].tolist()
-        doubts.append(
-            f"the body meets its markers within {1e3 * found.rmse:.0f} mm, where skin leaves 3 to 10: look "
-            f"for exchanged names and ghosts, first at {', '.join(found.markers.labels[m] for m in worst)}"
-        )
-    return doubts
-
-
-def _print_fit(found: Fit, outcome: dict[str, object], *, functional: bool) -> None:
-    from gateway.reconstruction.optical.fitting import by_lacking
-
-    lengths, moved = outcome["lengths_mm"], outcome["moved_mm"]
-    assert isinstance(lengths, dict)
-    assert isinstance(moved, dict)
+    lengths, moved = found.lengths_mm, found.moved_mm
     table = Table(Column("segment", no_wrap=True), "length mm", "joint moved by motion mm", "markers")
     for name in found.skeleton.segment_names:
-        table.add_row(name, f"{lengths[name]:.0f}", f"{moved[name]:.0f}", _worn(found, name) or "–")
+        table.add_row(name, f"{lengths[name]:.0f}", f"{moved[name]:.0f}", found.worn_on(name) or "–")
     Console().print(table)
     typer.echo(
-        f"{outcome['file']}: {outcome['markers']} markers of {found.marker_set}, {outcome['frames']} frames, "
-        f"rest {outcome['rmse_mm']} mm RMS, {found.markers.vertical} up"
+        f"{target}: {len(found.markers.labels)} markers of {found.marker_set}, {found.frames} frames, "
+        f"rest {round(1e3 * found.rmse, 2)} mm RMS, {found.markers.vertical} up"
     )
     for name, angle in found.angles.items():
         if angle:
             typer.echo(f"{name}: {math.degrees(angle):.1f}° (--angle {name}=0 takes the wand as it stands)")
-    if found.is_functional and not functional:
-        typer.echo(
-            "note: joint centres are where the motion has them, as with --functional: markers are met far "
-            "better so than where rules have them (--rules-only keeps to those)",
-            err=True,
-        )
-    if found.strained:
-        away = ", ".join(f"{name} {moved[name]:.0f} mm" for name in found.strained)
-        typer.echo(
-            f"note: the motion would have hips farther from their regression ({away}; regressions are off by "
-            "15 to 25 mm): --functional lets it decide and meets markers within "
-            f"{1e3 * found.rmse_free:.1f} mm; better with trials that move hips in all directions, not "
-            "with a plain walk",
-            err=True,
-        )
-    for note in fit_doubts(found):
+    for note in fit_notes(found, functional=functional):
         typer.echo(f"note: {note}", err=True)
-    if found.left_out:
-        typer.echo(f"note: no markers on {', '.join(found.left_out)}: the body goes without them", err=True)
-    for lacking, names in by_lacking(found.too_few).items():
-        typer.echo(
-            f"note: too few markers on {', '.join(names)}: the body goes without (the trials lack {lacking})",
-            err=True,
-        )
-    for left, right in uneven_sides(lengths):
-        typer.echo(
-            f"note: {left} is {lengths[left]:.0f} mm long, {right} {lengths[right]:.0f} mm: do markers of "
-            f"one name sit at the same place on both sides ({_worn(found, left)}; {_worn(found, right)})?",
-            err=True,
-        )
-    if found.assumed:
-        taken = ", ".join(f"{name}={found.lengths[name]:g}" for name in found.assumed)
-        typer.echo(f"note: no file tells these, m (--measure NAME=METRES does): {taken}", err=True)
 
 
 Subject = Annotated[str, typer.Option("--subject", "-s", help="Subject file of `optical fit`.")]
@@ -452,7 +290,7 @@ def solve(
     if plot is not None:
         write_residual_plot(done, trial.rate_hz, plot)
     if as_json:
-        typer.echo(json.dumps(_solve_outcome(done), indent=2))
+        typer.echo(json.dumps(done.figures(), indent=2))
     else:
         _print_solved(done)
     if to:
@@ -569,21 +407,13 @@ def _subject(name: str, up: str | None = None) -> WornSuit:
 def _note_lying(trial: MarkerTrial, suit: WornSuit, person: str | None) -> None:
     """Print a note where the body lies along a horizontal axis of the file throughout."""
     from devices.marker_files.naming import spelt
-    from gateway.geometry import quaternion
-    from gateway.reconstruction.optical.landmarks import AXES_UP, to_world
-    from gateway.reconstruction.optical.pose_solver import body_model
-    from gateway.reconstruction.optical.tracking import stands_along
+    from gateway.reconstruction.optical.tracking import upright_axis
 
     markers = suit.markers
     assert markers is not None  # _subject sees to it
     places = spelt(trial, markers.labels, person=person).columns(markers.labels)
-    model, neutral = body_model(suit.skeleton, markers), quaternion.to_matrix(suit.skeleton.neutral)
-    along = stands_along(model, to_world(places, markers.vertical), neutral)
-    if along is None or not np.linalg.norm(along) > LEAST_UPRIGHT:
-        return
-    unit = {axis: np.eye(3)["xyz".index(axis[-1])] * (-1.0 if "-" in axis else 1.0) for axis in AXES_UP}
-    axis = max(AXES_UP, key=lambda each: float(to_world(unit[each], markers.vertical) @ along))
-    if axis != markers.vertical and to_world(unit[axis], markers.vertical) @ along > LEAST_UPRIGHT:
+    axis = upright_axis(suit.skeleton, markers, places)
+    if axis not in {None, markers.vertical}:
         typer.echo(
             f"note: {trial.name}: the body lies along {axis} of the file, {markers.vertical} points up in "
             f"the subject's trials: if {axis} points up here, solve it with --up {axis}",
@@ -599,48 +429,22 @@ def _refuse_open_names(trial: MarkerTrial, suit: WornSuit, person: str | None) -
     spelt(trial, suit.markers.labels, person=person)
 
 
-def _solve_outcome(done: SolvedTrial) -> dict[str, object]:
-    seen = np.isfinite(done.residuals)
-    squares = np.where(seen, done.residuals, 0.0) ** 2
-    means = np.sqrt(squares.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
-    return {
-        "file": str(done.path),
-        "frames": done.frames,
-        "rmse_mm": round(1e3 * done.rmse, 2),
-        "ms_per_frame": round(done.ms_per_frame, 3),
-        "counts": done.counts,
-        "renamed": [{"frame": f, "marker": m, "was": was or None} for f, m, was in done.renamed],
-        "markers": {
-            label: {
-                "rmse_mm": None if not seen[:, m].any() else round(1e3 * float(means[m]), 2),
-                "seen_percent": round(100 * float(seen[:, m].mean()), 1),
-                "used_percent": round(100 * float(done.used[:, m].mean()), 1),
-            }
-            for m, label in enumerate(done.labels)
-        },
-    }
-
-
 def _print_solved(done: SolvedTrial) -> None:
-    outcome = _solve_outcome(done)
-    markers = outcome["markers"]
-    assert isinstance(markers, dict)
     table = Table("marker", "rest mm", "seen %", "used %")
-    for label, figures in markers.items():
+    for label, figures in done.markers().items():
         rest = "–" if figures["rmse_mm"] is None else f"{figures['rmse_mm']:.1f}"
         table.add_row(label, rest, f"{figures['seen_percent']:.0f}", f"{figures['used_percent']:.0f}")
     Console().print(table)
     typer.echo(
-        f"{done.path}: {done.frames} frames, rest {outcome['rmse_mm']} mm RMS, "
+        f"{done.path}: {done.frames} frames, rest {round(1e3 * done.rmse, 2)} mm RMS, "
         f"{done.ms_per_frame:.2f} ms a frame; {len(done.renamed)} names put right, "
         f"{done.counts.get('rejected', 0)} points left out"
     )
-    seen = np.isfinite(done.residuals)
-    share = float(done.used[seen].mean()) if seen.any() else 0.0
-    if share < LEAST_USED or 1e3 * done.rmse > MOST_REST_MM:
+    if done.is_poor:
         typer.echo(
-            f"note: {100 * share:.0f} % of the points seen had a say, rest {1e3 * done.rmse:.0f} mm: is this "
-            "the subject's own trial, in the unit that the file tells? If not, `optical fit` it first",
+            f"note: {100 * done.share_used:.0f} % of the points seen had a say, rest "
+            f"{1e3 * done.rmse:.0f} mm: is this the subject's own trial, in the unit that the file tells? If "
+            "not, `optical fit` it first",
             err=True,
         )
 

@@ -18,7 +18,8 @@ from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, IntArray, MarkerFrame
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.both_ways import solve_both_ways
-from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
+from gateway.reconstruction.optical.fitted_body import Fit
+from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import MarkerSet, load_marker_set
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.worn_markers import worn_part

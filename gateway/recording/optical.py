@@ -24,6 +24,7 @@ from gateway.frames import FloatArray, MarkerFit, MarkerFrame
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import BOTH_WAYS, PUBLISHED
 from gateway.reconstruction.optical.both_ways import solve_both_ways
+from gateway.reconstruction.optical.fitted_body import MOST_REST_MM
 from gateway.reconstruction.optical.landmarks import to_world
 from gateway.reconstruction.optical.published_trial import published_trial
 from gateway.recording.imported import add_solved, imported_session, origin_event, solve_into, solved_settings
@@ -39,6 +40,8 @@ CARRIES = "markers"
 _BEGUN_NS = 10**9
 """Gateway time of 0 s of a trial's own time, or of its first frame where that comes before."""
 _FASTEST_HZ = 4000.0
+LEAST_USED = 0.5
+"""Of the points seen, that had a say in a pose."""
 _FEWEST_MARKERS = 3
 """Fewer show no pose of anything. Names that two marker sets share by chance are as few."""
 
@@ -64,6 +67,44 @@ class SolvedTrial:
     def rmse(self) -> float:
         """m, of all markers that had a say; NaN with none."""
         return float(np.sqrt(np.mean(self.residuals[self.used] ** 2))) if self.used.any() else float("nan")
+
+    @property
+    def share_used(self) -> float:
+        """Share of the points seen that had a say, 0 to 1."""
+        seen = np.isfinite(self.residuals)
+        return float(self.used[seen].mean()) if seen.any() else 0.0
+
+    @property
+    def is_poor(self) -> bool:
+        """Whether this may be another person's trial, or one in another unit than its file tells."""
+        return self.share_used < LEAST_USED or 1e3 * self.rmse > MOST_REST_MM
+
+    def markers(self) -> dict[str, dict[str, float | None]]:
+        """Return for each marker its residual, mm RMS (None: never seen), and how often it was seen and
+        had a say, %."""
+        seen = np.isfinite(self.residuals)
+        squares = np.where(seen, self.residuals, 0.0) ** 2
+        means = np.sqrt(squares.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
+        return {
+            label: {
+                "rmse_mm": None if not seen[:, m].any() else round(1e3 * float(means[m]), 2),
+                "seen_percent": round(100 * float(seen[:, m].mean()), 1),
+                "used_percent": round(100 * float(self.used[:, m].mean()), 1),
+            }
+            for m, label in enumerate(self.labels)
+        }
+
+    def figures(self) -> dict[str, object]:
+        """Return what came of it, as JSON takes it."""
+        return {
+            "file": str(self.path),
+            "frames": self.frames,
+            "rmse_mm": round(1e3 * self.rmse, 2),
+            "ms_per_frame": round(self.ms_per_frame, 3),
+            "counts": self.counts,
+            "renamed": [{"frame": f, "marker": m, "was": was or None} for f, m, was in self.renamed],
+            "markers": self.markers(),
+        }
 
 
 class _Fits:

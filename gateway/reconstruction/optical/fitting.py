@@ -29,6 +29,7 @@ from gateway.reconstruction.optical.bundle import (
     weighted_rmse,
     with_sigmas,
 )
+from gateway.reconstruction.optical.fitted_body import Fit
 from gateway.reconstruction.optical.ghosts import other_sizes
 from gateway.reconstruction.optical.joint_ranges import impossible_joints, shown_joints
 from gateway.reconstruction.optical.landmarks import (
@@ -95,59 +96,6 @@ class FitOptions:
     lets it; or where the motion has them, whatever rules say."""
     person: str | None = None
     """Whose markers, where files hold those of several people: what stands before the labels."""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A fitted body, and how it came about."""
-
-    skeleton: Skeleton
-    markers: BodyMarkers
-    marker_set: str
-    lengths: Mapping[str, float]
-    angles: Mapping[str, float]
-    """rad"""
-    assumed: tuple[str, ...]
-    """Measurements that nobody told."""
-    frames: int
-    rmse: float
-    """m, of the frames it was fitted to."""
-    moved: FloatArray
-    """(S,) m: how far the motion moved every joint from where rules had it."""
-    left_out: tuple[str, ...] = ()
-    """Segments of the marker set's body that carry no marker of these trials."""
-    too_few: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Segments that carry too few for their axes, and those beyond them: with the markers that lack."""
-    is_functional: bool = False
-    """Whether joints are where the motion has them, whatever rules say."""
-    strained: tuple[str, ...] = ()
-    """Segments whose joints come from a regression, and went as far from it as it lets them."""
-    rmse_free: float = np.nan
-    """m: ``rmse``, had the motion decided alone; NaN where no joint strains."""
-    ghosts: Mapping[str, int] = field(default_factory=dict)
-    """Points far from all that sits beside their marker, by its name in the files: they had no say."""
-    exchanged: Mapping[str, int] = field(default_factory=dict)
-    """Frames in which a left marker had the name of the right one, by its name in the files: put right."""
-    other_sizes: Mapping[str, float] = field(default_factory=dict)
-    """Trials whose markers are farther apart or nearer than those of the first, and how many times."""
-    other_axes: Mapping[str, str] = field(default_factory=dict)
-    """Trials in which another axis points up than in the first, and which: they were turned."""
-    backwards: tuple[str, ...] = ()
-    """Joints that bend only to the side to which they cannot, or whose segments are turned about."""
-    turned: tuple[str, ...] = ()
-    """Joints whose segment is turned about, where nothing bends backwards on both sides."""
-    strangers: tuple[str, ...] = ()
-    """Names in the files that are none of the set's."""
-    is_still: bool = False
-    """Whether nothing moves in any of the trials."""
-
-
-def by_lacking(too_few: Mapping[str, tuple[str, ...]]) -> dict[str, list[str]]:
-    """Return the segments that were left out, by the markers that lack."""
-    found: dict[str, list[str]] = {}
-    for name, lacking in too_few.items():
-        found.setdefault(", ".join(lacking) or "a frame with all of theirs", []).append(name)
-    return found
 
 
 def fit_body(

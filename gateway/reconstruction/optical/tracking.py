@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
+from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
+from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
 from gateway.reconstruction.optical import kernels
+from gateway.reconstruction.optical.landmarks import AXES_UP, to_world
 from gateway.reconstruction.optical.pose_solver import (
     LIMIT_SIGMA,
     BodyModel,
     Held,
     Pose,
+    body_model,
     everyone,
     normal_equations,
     solve_pose,
@@ -30,6 +35,8 @@ _ENOUGH = 3
 _CLOSE = 0.015
 """How far one or two markers may be off as they lie to their joint, m."""
 _LONGEST = 60
+LEAST_UPRIGHT = 0.9
+"""Cosine between a body and an axis along which it stands, or lies."""
 _LOOKS = 5
 """Frames that tell how a body stands."""
 _HOPELESS = 0.1  # m: a marker this far off says no more about a pose
@@ -102,6 +109,22 @@ def stands_along(model: BodyModel, observed: FloatArray, neutral: FloatArray) ->
             along = (heights - heights.mean()) @ p
             found.append(along / np.linalg.norm(along))
     return np.mean(found, axis=0) if found else None
+
+
+def upright_axis(skeleton: Skeleton, markers: BodyMarkers, places: FloatArray) -> str | None:
+    """Return the axis of a file along which the body stands, or lies, throughout its markers (F, M, 3), m, as
+    the file has them; None where it does so along none."""
+    along = stands_along(
+        body_model(skeleton, markers),
+        to_world(places, markers.vertical),
+        quaternion.to_matrix(skeleton.neutral),
+    )
+    if along is None:
+        return None
+    unit = {axis: np.eye(3)["xyz".index(axis[-1])] * (-1.0 if "-" in axis else 1.0) for axis in AXES_UP}
+    cosines = {axis: float(to_world(unit[axis], markers.vertical) @ along) for axis in AXES_UP}
+    axis = max(cosines, key=cosines.__getitem__)
+    return axis if cosines[axis] > LEAST_UPRIGHT else None
 
 
 def laid_anew(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose | None:

@@ -19,7 +19,8 @@ from gateway.geometry import quaternion
 from gateway.reconstruction.optical import point_rules
 from gateway.reconstruction.optical.anchoring import turns_to_bending
 from gateway.reconstruction.optical.bundle import _loose
-from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
+from gateway.reconstruction.optical.fitted_body import Fit
+from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.joint_ranges import shown_joints
 from gateway.reconstruction.optical.landmarks import landmarks_of, measurements
 from gateway.reconstruction.optical.marker_set import load_marker_set

@@ -12,9 +12,10 @@ from typer.testing import CliRunner
 
 from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.rig import load_rig
-from gateway.cli.optical import fit_doubts, optical_app
+from gateway.cli.optical import optical_app
 from gateway.errors import GatewayError
 from gateway.geometry import quaternion
+from gateway.reconstruction.optical.fitted_body import fit_doubts
 from gateway.reconstruction.optical.fitting import fit_body
 from gateway.reconstruction.optical.ghosts import sides_kept, without_ghosts
 from gateway.reconstruction.optical.landmarks import vertical_axis

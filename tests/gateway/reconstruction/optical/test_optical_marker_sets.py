@@ -13,7 +13,8 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm
-from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
+from gateway.reconstruction.optical.fitted_body import Fit
+from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 

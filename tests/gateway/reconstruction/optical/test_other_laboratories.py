@@ -15,8 +15,8 @@ from devices.marker_files.naming import plain, spellings, spelt, without_prefixe
 from devices.vendor_formats.sheets import FormatError
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import WorldSettings, load_body, worn_without_modules
-from gateway.cli.optical import uneven_sides
 from gateway.errors import GatewayError
+from gateway.reconstruction.optical.fitted_body import uneven_sides
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.worn_markers import fitting_set, worn_part
