@@ -23,6 +23,8 @@ Publishing = Literal["allowed", "refused", "unknown"]
 
 WARN_INTERVAL_S = 60.0
 """Between two warnings of one kind: what comes over a broker may be anybody's."""
+_PROBE_INTERVAL_S = 2.0
+"""Between two poses that the broker is to answer for."""
 FORGET_S = 30.0
 """A gateway of the same name that was not heard for so long is gone."""
 
@@ -30,12 +32,14 @@ FORGET_S = 30.0
 class PublishRights:
     """Which topics the broker refuses to take messages on."""
 
-    def __init__(self, are_reported: bool) -> None:
-        """are_reported: whether the broker reports refusals, as with MQTT 5."""
+    def __init__(self, are_reported: bool, clock: Callable[[], float] = time.monotonic) -> None:
+        """are_reported: whether the broker reports refusals, as with MQTT 5; clock in s."""
         self.refused: dict[str, str] = {}
         """Reason by topic."""
         self.are_reported = are_reported
         self._has_answer = False
+        self._clock = clock
+        self._due_s = 0.0
 
     @property
     def state(self) -> Publishing:
@@ -48,6 +52,21 @@ class PublishRights:
         """Forget all: a new connection may have other rights."""
         self.refused.clear()
         self._has_answer = False
+        self._due_s = 0.0
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the next pose is one that the broker has to answer for."""
+        return self.are_reported and self._clock() >= self._due_s
+
+    @property
+    def wants_answer(self) -> bool:
+        """Whether the next pose is such a one, or some topics are refused."""
+        return self.are_reported and (bool(self.refused) or self._clock() >= self._due_s)
+
+    def asked(self) -> None:
+        """Note that a pose goes out for which the broker has to answer."""
+        self._due_s = self._clock() + _PROBE_INTERVAL_S
 
     def answered(self, topic: str, code: ReasonCode) -> None:
         """Note how the broker answered a publication of QoS 1."""

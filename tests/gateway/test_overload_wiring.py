@@ -31,8 +31,8 @@ def test_each_stage_takes_what_it_says_and_gives_it_back(service, stage, caplog)
     service._shed()
     (side,) = service.side._outputs
     assert side.is_paused == (stage >= 1)
-    assert service.mqtt._publications.has_segments == (stage < 2)
-    admitted = sum(service.mqtt._relief.admits(k * 10_000_000) for k in range(100))
+    assert service.mqtt._poses._publications.has_segments == (stage < 2)
+    admitted = sum(service.mqtt._poses._relief.admits(k * 10_000_000) for k in range(100))
     assert admitted == (100 if stage < 3 else SHED[stage].poses_hz)
     assert service.pipeline.module_stage.solve_every == SHED[stage].solve_every
     assert SHED[stage].meaning in caplog.text
