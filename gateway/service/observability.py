@@ -1,4 +1,4 @@
-"""Publish module state, UTC offset, metrics and health."""
+"""Publish module state, UTC offset, metrics and health; log how many poses and packets come."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.clocks import AnchorWatch
 from gateway.contract.balances import Balance, unaccounted
 from gateway.contract.messages import BridgeInfo, UtcAnchor
+from gateway.modules.module_log import UnknownModules
 from gateway.modules.summary import ModuleStates
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.side_outputs import SideOutputs
@@ -27,6 +28,8 @@ from gateway.settings import GatewaySettings
 log = logging.getLogger(__name__)
 
 LOOK_INTERVAL_S = 0.25
+REPORT_INTERVAL_S = 10.0
+_MOST_STRANGERS_NAMED = 32
 _READS = 5
 
 Clock = Callable[[], int]
@@ -190,6 +193,74 @@ class Observer:
         if is_step:
             step_s = (reading.last_step_ns or 0) * 1e-9
             log.warning("the host's UTC was set by %+.3f s; gateway time goes on as it was", step_s)
+
+
+class LogReport:
+    """Logs how a running gateway fares, and who sends to it that should not, or in vain."""
+
+    def __init__(self, pipeline: Pipeline, mqtt: MqttOutput, unknown_modules: UnknownModules) -> None:
+        self._pipeline, self._mqtt = pipeline, mqtt
+        self._unknown_modules = unknown_modules
+
+    def _warn_of_unknown_modules(self, named: set[str]) -> None:
+        """Name who else sends to the links of modules, each once. named: those who were, and are now."""
+        for link, figures in self._pipeline.stream.sender_statistics().items():
+            unknown = figures["strangers"]
+            assert isinstance(unknown, list)
+            new = [name for name in unknown if f"{link} {name}" not in named]
+            if new and len(named) < _MOST_STRANGERS_NAMED:
+                named.update(f"{link} {name}" for name in new)
+                log.warning(
+                    "%s: %s sends here, and nothing of it is a valid packet; "
+                    "'?peers=' in the link's url takes datagrams of some addresses alone",
+                    link,
+                    ", ".join(new),
+                )
+
+    def _warn_of_unreadable_links(self, named: set[str]) -> None:
+        """Name links of which nothing can be read, each once. named: those who were, and are now."""
+        several = self._pipeline.stream.sender_statistics()  # whose senders are named one by one
+        for link in self._pipeline.stream.unreadable():
+            if link not in named and link not in several:
+                named.add(link)
+                log.warning(
+                    "%s: bytes come, and no valid packet is among them: is its baud or bit rate right, and "
+                    "is it the suit? 'mocap-gateway doctor' looks closer",
+                    link,
+                )
+
+    def _packets_report(self) -> str:
+        """Return how many modules are heard, and their packets; nothing for a rig without modules."""
+        if not self._unknown_modules.names:
+            return ""
+        modules = self._pipeline.modules.records.values()
+        return (
+            f" from {self._unknown_modules.known} of the rig's {len(self._unknown_modules.names)} modules; "
+            f"packets received {sum(each.received for each in modules)}, "
+            f"lost {sum(each.lost for each in modules)}"
+        )
+
+    async def log_for_ever(self) -> None:
+        """Log every ``REPORT_INTERVAL_S`` seconds how many poses and packets came and were lost."""
+        frames_before = 0
+        unknown: set[str] = set()
+        unreadable: set[str] = set()
+        while True:
+            await asyncio.sleep(REPORT_INTERVAL_S)
+            self._warn_of_unknown_modules(unknown)
+            self._warn_of_unreadable_links(unreadable)
+            frames = self._pipeline.skeleton_frames
+            log.info(
+                "%.1f poses/s%s; %s; poses dropped %d",
+                (frames - frames_before) / REPORT_INTERVAL_S,
+                self._packets_report(),
+                "broker connected" if self._mqtt.is_connected else "NO BROKER",
+                self._mqtt.counters.dropped,
+            )
+
+            frames_before = frames
+            if (news := self._unknown_modules.news()) is not None:
+                log.warning("%s", news)
 
 
 def read_both(utc_ns: Clock) -> tuple[int, int]:

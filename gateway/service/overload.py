@@ -3,14 +3,25 @@
 The measure is the lag: how long ago the bytes arrived that have just been handled. A machine that keeps up
 has some milliseconds; one that does not falls behind by more and more. Stage by stage, ``SHED`` takes away
 what can best be spared, until the lag stops growing. Decoding, clocks, and the recording of all that arrives
-are never touched. Time is an argument.
+are never touched. Time is an argument of ``LoadWatch``, which decides; ``Shedding`` reads the clock.
 """
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
+
+from devices.link import gateway_time_ns
+from devices.link_counts import LinkCounts
+from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.side_outputs import SideOutputs
+from gateway.pipeline import LOAD_EVENT
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -148,3 +159,53 @@ class LoadWatch:
         self.changes += 1
         self._late_ticks = 0
         return True
+
+
+class Shedding:
+    """Does less of a running gateway while the load asks for it. Belongs to one event loop."""
+
+    def __init__(
+        self,
+        load: LoadWatch,
+        mqtt: MqttOutput,
+        side: SideOutputs,
+        apply_event: Callable[[str, Mapping[str, Any]], object],
+        link_counts: Callable[[], Mapping[str, LinkCounts]],
+    ) -> None:
+        """apply_event: to the pipeline, and recorded. link_counts: of the links that are opened again, by
+        name."""
+        self._load, self._mqtt, self._side = load, mqtt, side
+        self._apply_event = apply_event
+        self._link_counts = link_counts
+
+    def shed(self) -> None:
+        """Do what the stage of the load asks for, and publish it."""
+        holds = self._load.holds
+        self._side.pause(self._load.stage >= SIDE_OUTPUTS)
+        self._mqtt.relieve(holds.poses_hz, has_segments=self._load.stage < SEGMENT_TOPICS)
+        self._apply_event(LOAD_EVENT, {"stage": holds.name, "solve_every": holds.solve_every})
+        log.warning(
+            "load stage %d of %d: %s (%.0f ms behind)",
+            self._load.stage,
+            len(SHED) - 1,
+            holds.meaning,
+            self._load.lag_s * 1e3,
+        )
+
+    def note_lag(self, link: str, counts: LinkCounts, arrived_ns: int) -> None:
+        """Give the load watch the time by which a link is behind, with what still waits in the system."""
+        now_ns = gateway_time_ns()
+        if counts.backlog_since_ns is not None:
+            arrived_ns = min(arrived_ns, counts.backlog_since_ns)
+        if self._load.observe(link, (now_ns - arrived_ns) * 1e-9, now_ns * 1e-9):
+            self.shed()
+
+    async def watch(self) -> None:
+        """Look also where nothing arrives any more, or nothing of it is let through by its link."""
+        while True:
+            await asyncio.sleep(TICK_S)
+            for name, counts in self._link_counts().items():
+                if counts.backlog_since_ns is not None:
+                    self.note_lag(name, counts, gateway_time_ns())
+            if self._load.look(gateway_time_ns() * 1e-9):
+                self.shed()

@@ -18,7 +18,6 @@ from devices.link import (
     Link,
     LinkError,
     SentChunk,
-    gateway_time_ns,
 )
 from devices.link_counts import LinkCounts
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
@@ -41,7 +40,7 @@ from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder, in_turn
 from gateway.outputs.side_outputs import SideOutputs
-from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, LOAD_EVENT, Pipeline, Worn
+from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, Pipeline, Worn
 from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.recording.control import RecordingControl
 from gateway.recording.shelf import Shelf
@@ -49,8 +48,8 @@ from gateway.service.accounting import balances_of
 from gateway.service.camera_orders import CameraOrders
 from gateway.service.further_bodies import FurtherBody, HandedLink, at_broker
 from gateway.service.host_sender import HostSender
-from gateway.service.observability import Observer
-from gateway.service.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, TICK_S, LoadWatch
+from gateway.service.observability import LogReport, Observer
+from gateway.service.overload import LoadWatch, Shedding
 from gateway.service.own_requests import OwnRequests
 from gateway.service.parts import bridge_info, links_of, periodic_senders, unworn_modules
 from gateway.service.people import CARRIES, PeopleBeforeCameras
@@ -64,12 +63,10 @@ from gateway.support.supervision import kept_running
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
-REPORT_INTERVAL_S = 10.0
 _POSES_A_TURN = 8
 """Of a link that is never empty; then the event loop has its turn."""
 _LAST_POSES_S = 0.1
 """After the last chunk, for further people's poses to go out."""
-_MOST_STRANGERS_NAMED = 32
 _LOGGED_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
 
@@ -152,6 +149,9 @@ class Service:
         self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
 
         self.load = LoadWatch()
+        self.shedding = Shedding(
+            self.load, self.mqtt, self.side, self._apply_event, lambda: self._link_counts
+        )
         parts = self.pipeline, self.links, self.mqtt, self.side
         self.observer = Observer(settings, suit, info, *parts, balances=self.balances, load=self.load)
 
@@ -163,7 +163,8 @@ class Service:
         self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
-        self._unknown_modules = UnknownModules(stream, suit, unworn_modules(settings))
+        unknown = UnknownModules(stream, suit, unworn_modules(settings))
+        self._report = LogReport(self.pipeline, self.mqtt, unknown)
         self._makers = MakersModules(self._note_sent)
         sender = HostSender(self._note_sent, senders=stream.senders)
         self._announced: list[Link] = []  # to the pipeline, and with devices that take commands
@@ -294,8 +295,8 @@ class Service:
             self.requests.start(self.mqtt.port)
             # Each is restarted should it fail: a broken report must not end the poses.
             companions = [
-                asyncio.create_task(kept_running("the report", self._report), name="report"),
-                asyncio.create_task(kept_running("the load", self._watch_load), name="load"),
+                asyncio.create_task(kept_running("the report", self._report.log_for_ever), name="report"),
+                asyncio.create_task(kept_running("the load", self.shedding.watch), name="load"),
                 asyncio.create_task(kept_running("giving memory back", give_back), name="memory"),
                 asyncio.create_task(kept_running("the talk with modules", self._makers.talk), name="talk"),
             ]
@@ -401,7 +402,7 @@ class Service:
                     n_poses += self._take_chunk(item, contents[item.link])
                     # The arrival times of a recording are not of today, so they say nothing of the load.
                     if not isinstance(link, ReplayLink):
-                        self._note_lag(link.name, counts, item.arrived_ns)
+                        self.shedding.note_lag(link.name, counts, item.arrived_ns)
                     if self.side.is_waiting or n_poses >= _POSES_A_TURN:
                         n_poses = 0
                         await asyncio.sleep(0)  # a link that is never empty must not starve all else
@@ -456,38 +457,6 @@ class Service:
                 )
             return None
 
-    def _shed(self) -> None:
-        """Do what the stage of the load asks for, and publish it."""
-        holds = self.load.holds
-        self.side.pause(self.load.stage >= SIDE_OUTPUTS)
-        self.mqtt.relieve(holds.poses_hz, has_segments=self.load.stage < SEGMENT_TOPICS)
-        self._apply_event(LOAD_EVENT, {"stage": holds.name, "solve_every": holds.solve_every})
-        log.warning(
-            "load stage %d of %d: %s (%.0f ms behind)",
-            self.load.stage,
-            len(SHED) - 1,
-            holds.meaning,
-            self.load.lag_s * 1e3,
-        )
-
-    def _note_lag(self, link: str, counts: LinkCounts, arrived_ns: int) -> None:
-        """Give the load watch the time by which a link is behind, with what still waits in the system."""
-        now_ns = gateway_time_ns()
-        if counts.backlog_since_ns is not None:
-            arrived_ns = min(arrived_ns, counts.backlog_since_ns)
-        if self.load.observe(link, (now_ns - arrived_ns) * 1e-9, now_ns * 1e-9):
-            self._shed()
-
-    async def _watch_load(self) -> None:
-        """Look also where nothing arrives any more, or nothing of it is let through by its link."""
-        while True:
-            await asyncio.sleep(TICK_S)
-            for name, counts in self._link_counts.items():
-                if counts.backlog_since_ns is not None:
-                    self._note_lag(name, counts, gateway_time_ns())
-            if self.load.look(gateway_time_ns() * 1e-9):
-                self._shed()
-
     def _note_sent(self, sent: SentChunk) -> None:
         """Give the pipeline what the gateway has sent, and record it in its place among what was received."""
         self.recording.sent(sent)
@@ -522,66 +491,6 @@ class Service:
         if status.state is LinkState.DOWN:
             self.pipeline.modules.notice(name, Cause.LINK_DOWN)
         self.recording.event("link", {"link": name, "state": status.state.value, "reason": status.reason})
-
-    def _warn_of_unknown_modules(self, named: set[str]) -> None:
-        """Name who else sends to the links of modules, each once. named: those who were, and are now."""
-        for link, figures in self.pipeline.stream.sender_statistics().items():
-            unknown = figures["strangers"]
-            assert isinstance(unknown, list)
-            new = [name for name in unknown if f"{link} {name}" not in named]
-            if new and len(named) < _MOST_STRANGERS_NAMED:
-                named.update(f"{link} {name}" for name in new)
-                log.warning(
-                    "%s: %s sends here, and nothing of it is a valid packet; "
-                    "'?peers=' in the link's url takes datagrams of some addresses alone",
-                    link,
-                    ", ".join(new),
-                )
-
-    def _warn_of_unreadable_links(self, named: set[str]) -> None:
-        """Name links of which nothing can be read, each once. named: those who were, and are now."""
-        several = self.pipeline.stream.sender_statistics()  # whose senders are named one by one
-        for link in self.pipeline.stream.unreadable():
-            if link not in named and link not in several:
-                named.add(link)
-                log.warning(
-                    "%s: bytes come, and no valid packet is among them: is its baud or bit rate right, and "
-                    "is it the suit? 'mocap-gateway doctor' looks closer",
-                    link,
-                )
-
-    def _packets_report(self) -> str:
-        """Return how many modules are heard, and their packets; nothing for a rig without modules."""
-        if not self._unknown_modules.names:
-            return ""
-        modules = self.pipeline.modules.records.values()
-        return (
-            f" from {self._unknown_modules.known} of the rig's {len(self._unknown_modules.names)} modules; "
-            f"packets received {sum(each.received for each in modules)}, "
-            f"lost {sum(each.lost for each in modules)}"
-        )
-
-    async def _report(self) -> None:
-        """Log every ``REPORT_INTERVAL_S`` seconds how many poses and packets came and were lost."""
-        frames_before = 0
-        unknown: set[str] = set()
-        unreadable: set[str] = set()
-        while True:
-            await asyncio.sleep(REPORT_INTERVAL_S)
-            self._warn_of_unknown_modules(unknown)
-            self._warn_of_unreadable_links(unreadable)
-            frames = self.pipeline.skeleton_frames
-            log.info(
-                "%.1f poses/s%s; %s; poses dropped %d",
-                (frames - frames_before) / REPORT_INTERVAL_S,
-                self._packets_report(),
-                "broker connected" if self.mqtt.is_connected else "NO BROKER",
-                self.mqtt.counters.dropped,
-            )
-
-            frames_before = frames
-            if (news := self._unknown_modules.news()) is not None:
-                log.warning("%s", news)
 
 
 def _person_service(

@@ -28,7 +28,7 @@ def service():
 @pytest.mark.parametrize("stage", [*range(len(SHED)), 2, 0])
 def test_each_stage_takes_what_it_says_and_gives_it_back(service, stage, caplog):
     service.load.stage = stage
-    service._shed()
+    service.shedding.shed()
     (side,) = service.side._outputs
     assert side.is_paused == (stage >= 1)
     assert service.mqtt._poses._publications.has_segments == (stage < 2)
@@ -47,11 +47,11 @@ async def test_what_waits_in_the_system_counts_as_lag_also_where_none_of_it_beco
     )
     service = Service(settings, load_rig("robot_arm_4"))
     (link,) = service.links
-    watching = asyncio.create_task(service._watch_load())
+    watching = asyncio.create_task(service.shedding.watch())
     link.counts.backlog_since_ns = gateway_time_ns() - 1_000_000_000
     await until(lambda: service.load.stage >= 1)
     # A chunk that was read a moment ago does not hide it.
-    service._note_lag(link.name, link.counts, gateway_time_ns())
+    service.shedding.note_lag(link.name, link.counts, gateway_time_ns())
     assert service.load.worst_s > 1.0
     link.counts.backlog_since_ns = None
     await until(lambda: service.load.stage == 0)

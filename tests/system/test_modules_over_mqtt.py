@@ -246,8 +246,8 @@ async def test_requests_that_change_modules_are_carried_out_in_order(served):
 async def test_who_is_heard_and_not_in_the_rig_is_said_once_with_what_to_do(
     served, monkeypatch, caplog, until
 ):
-    monkeypatch.setattr("gateway.service.service.REPORT_INTERVAL_S", 0.1)
-    caplog.set_level(logging.INFO, "gateway.service.service")
+    monkeypatch.setattr("gateway.service.observability.REPORT_INTERVAL_S", 0.1)
+    caplog.set_level(logging.INFO, "gateway.service.observability")
     async with served(stored_ids={2: 9}):
         await until(lambda: "heard, but not in the rig: module 9" in caplog.text)
         await until(lambda: "from 3 of the rig's 4 modules" in caplog.text)
