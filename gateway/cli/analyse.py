@@ -91,11 +91,7 @@ def analyse_file(
     `biomech` and `plot`.
     """
     from gateway.analysis.analysing import analyse
-    from gateway.analysis.body_model import require_biomech
-    from gateway.support.extras import require_package
 
-    require_biomech()
-    require_package("matplotlib")
     _refuse_unfit(file, mass, inertia, is_trial=subject is not None)
     folder = _folder(file, output, force=force)
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
@@ -113,9 +109,14 @@ def analyse_file(
 
 
 def _refuse_unfit(file: Path, mass: float | None, inertia: Path | None, *, is_trial: bool) -> None:
-    """Raise ``GatewayError`` for a file that cannot be read, and without what the body weighs."""
+    """Raise ``GatewayError`` without the extras, for a file that cannot be read, and without what the body
+    weighs."""
     from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
+    from gateway.analysis.body_model import require_biomech
+    from gateway.support.extras import require_package
 
+    require_biomech()
+    require_package("matplotlib")
     if file.is_dir():
         raise GatewayError(f"{file} is a folder: name a recording, or a trial of markers, in it")
     if not file.exists():

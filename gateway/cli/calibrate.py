@@ -19,7 +19,7 @@ from devices.link_decoder import LinkDecoder
 from devices.reconnect import ReconnectingLink
 from devices.replay_link import ReplayLink, framings_of
 from gateway.body.camera import Camera
-from gateway.calibration.cameras_file import AXES, axis_of, cameras_text, load_cameras
+from gateway.calibration.cameras_file import AXES, Axis, axis_of, cameras_text, load_cameras
 from gateway.cli.calibrate_body import body, put_back, versions
 from gateway.cli.calibrate_sensors import sensors
 from gateway.cli.options import AsJson, ReplaceFiles, refuse_existing
@@ -84,9 +84,7 @@ def cameras(
     _check_cameras(output, force=force)
     axis = axis_of(up)
     if import_file is not None:
-        found = load_cameras(import_file, axis, unit)
-        _write_cameras(output, cameras_text(found))
-        _print_cameras(output, [_camera_row(camera) for camera in found], as_json)
+        _take_over(import_file, axis, unit, output, as_json)
         return
     if board is None or not lenses:
         raise GatewayError("pictures (NAME=FOLDER for every camera) and --board are wanted, or --import FILE")
@@ -98,6 +96,13 @@ def cameras(
     _print_cameras(output, _camera_rows(result), as_json)
     if not as_json:
         typer.echo(f"{folder}: {written} pictures with the corners found (green) and expected (red)")
+
+
+def _take_over(file: Path, axis: Axis, unit: str, output: Path, as_json: bool) -> None:
+    """Write another program's calibration as ours, and print its cameras."""
+    found = load_cameras(file, axis, unit)
+    _write_cameras(output, cameras_text(found))
+    _print_cameras(output, [_camera_row(camera) for camera in found], as_json)
 
 
 def _check_cameras(output: Path, *, force: bool) -> None:

@@ -131,10 +131,7 @@ def solve(
     from gateway.recording.video import video_suit
 
     wanted = people_of(choice.people)
-    if subject is not None and wanted != 1:
-        raise GatewayError(
-            "--subject is one person's, --people of more measures everybody: leave one of them out"
-        )
+    _refuse_several(subject, wanted)
     target = _target(files, output, to or [])
     _places(target, wanted or 1, force=force)
     capture = _captured(files, cameras, pictures, choice, is_shown=not as_json)
@@ -155,6 +152,14 @@ def solve(
             export(place, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
     if as_json:
         typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
+
+
+def _refuse_several(subject: Path | None, wanted: int | None) -> None:
+    """Raise ``GatewayError`` for one person's lengths and several people. wanted: None: all."""
+    if subject is not None and wanted != 1:
+        raise GatewayError(
+            "--subject is one person's, --people of more measures everybody: leave one of them out"
+        )
 
 
 def _captured(

@@ -233,10 +233,7 @@ def finish_frames(
         follow(rules, q_wb[t], rate[t], sigma[t], status[t])
 
         if len(walks) > 0:
-            for s in range(len(finite_rate)):
-                for i in range(3):
-                    w = rate[t, s, i]
-                    finite_rate[s, i] = 0.0 if np.isnan(w) else min(max(w, -LARGEST), LARGEST)
+            _bounded(rate[t], finite_rate)
             walker = Walker(parents, offsets, places, walks[0], bodies[0], contacts)
             place, stands_on = advance_position(walker, q_wb[t], finite_rate, force[t], stood_s[t], dt[t])
             joint_positions_into(p_w[t], parents, offsets, q_wb[t], place)
@@ -247,6 +244,15 @@ def finish_frames(
                 origin[i] = p_w[t, 0, i]
             joint_positions_into(p_w[t], parents, offsets, q_wb[t], origin)
     return len(root)
+
+
+@compiled
+def _bounded(rate: FloatArray, finite_rate: FloatArray) -> None:
+    """Write angular rates (n, 3), rad/s, within ±``LARGEST``; one that is not known counts as none."""
+    for s in range(len(finite_rate)):
+        for i in range(3):
+            w = rate[s, i]
+            finite_rate[s, i] = 0.0 if np.isnan(w) else min(max(w, -LARGEST), LARGEST)
 
 
 @compiled

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
+from gateway.body.bones import BONE_FACES, BONE_VERTICES, Bones, bones_of
 from gateway.body.mannequin import SPINDLE_FACES, SPINDLE_VERTICES, Mannequin, mannequin_of
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
@@ -21,6 +21,28 @@ from gateway.viewer.texts import ENGLISH, segment_name, translated
 
 AXES_LENGTH_M = 0.09
 _BODY = "/body"
+
+
+def _at_rest(count: int) -> tuple[FloatArray, FloatArray]:
+    """Return orientations (count, 4), none turned, and places (count, 3), all at the origin."""
+    return np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3))
+
+
+def _bone_meshes(scene: viser.SceneApi, bones: Bones, name: str) -> viser.BatchedMeshHandle:
+    """Add one mesh a bone to a scene."""
+    count = len(bones.segment)
+    return scene.add_batched_meshes_simple(
+        name,
+        BONE_VERTICES,
+        BONE_FACES,
+        *_at_rest(count),
+        batched_scales=bones.scale,
+        batched_colors=np.full((count, 3), 140, np.uint8),
+        flat_shading=True,
+        lod="off",
+        cast_shadow=False,
+        receive_shadow=False,
+    )
 
 
 class BodyScene:
@@ -42,23 +64,7 @@ class BodyScene:
         self._stage = stage
         self._skeleton = skeleton
         self._bones = bones = bones_of(skeleton)
-        n, n_bones = skeleton.n_segments, len(bones.segment)
-        identity, origin = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
-        scene = server.scene
-
-        self._bodies = scene.add_batched_meshes_simple(
-            f"{root}/bones",
-            BONE_VERTICES,
-            BONE_FACES,
-            np.tile(identity, (n_bones, 1)),
-            np.tile(origin, (n_bones, 1)),
-            batched_scales=bones.scale,
-            batched_colors=np.full((n_bones, 3), 140, np.uint8),
-            flat_shading=True,
-            lod="off",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        self._bodies = _bone_meshes(server.scene, bones, f"{root}/bones")
 
         self._sides = [side_of(name) for name in skeleton.segment_names]
         mannequin = mannequin_of(skeleton)
@@ -71,16 +77,15 @@ class BodyScene:
         self.shows_bones = mannequin is None
         self._bodies.visible = self.shows_bones
 
-        self._axes = scene.add_batched_axes(
+        self._axes = server.scene.add_batched_axes(
             f"{root}/axes",
-            np.tile(identity, (n, 1)),
-            np.tile(origin, (n, 1)),
+            *_at_rest(skeleton.n_segments),
             axes_length=AXES_LENGTH_M,
             axes_radius=0.004,
             visible=False,
         )
         self._labels = [
-            scene.add_label(f"{root}/names/{name}", name, visible=False, anchor="bottom-left")
+            server.scene.add_label(f"{root}/names/{name}", name, visible=False, anchor="bottom-left")
             for name in skeleton.segment_names
         ]
 

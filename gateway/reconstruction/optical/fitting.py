@@ -110,33 +110,27 @@ def fit_body(
     Raises ``GatewayError`` where the trials do not tell enough, ``FormatError`` where it is open whose
     markers are meant.
     """
-    options = options or FitOptions()
+    options, report = options or FitOptions(), progress or (lambda _done, _total: None)
     dressed = dressed_in(marker_set, trials, options.person)
     marker_set, trials = dressed.marker_set, dressed.trials
     measured = measurements(marker_set, list(trials), options.lengths, options.angles)
-    other_axes: dict[str, str] = {}
-    vertical = options.vertical
-    if vertical is None:
-        vertical = vertical_axis(marker_set, trials[0])
-        trials, other_axes = standing_alike(marker_set, trials, vertical)
+    vertical, trials, other_axes = _upright(marker_set, trials, options.vertical)
     marker_set, sightings, too_few = _enough_seen(marker_set, trials, vertical, measured)
+    bending, stood = _bending(marker_set), None
     if options.neutral is not None:
+        bending = []
         sightings = _stood_neutral(marker_set, sightings, trials[0], options.neutral)
     moving = _moving(sightings)
     skeleton, markers = from_rules(marker_set, moving, vertical)
     chosen = [_spread(each, MOST_FRAMES // len(sightings)) for each in moving]
     evidence = _evidence(marker_set, skeleton, markers, chosen)
-    if progress is not None:
-        progress(1, 2)
-    bending = [] if options.neutral is not None else _bending(marker_set)
-    stood = None
+    report(1, 2)
     if options.neutral is not None:
         stood = _standing(sightings[0], markers, marker_set, options.neutral, trials[0])
     found, tips, moved = _shaped(marker_set, skeleton, evidence, options.centres, bending, stood)
     done = found.done
     final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
-    if progress is not None:
-        progress(2, 2)
+    report(2, 2)
     backwards, turned_about = impossible_joints(marker_set.body, final, done.poses)
     own_labels = tuple(dressed.file_labels[label] for label in markers.labels)
     sized = resized(marker_set, final.offsets, tips)
@@ -164,6 +158,19 @@ def fit_body(
         turned=turned_about,
         is_still=all(_largest_stray(sighting.markers) < _STILL for sighting in sightings),
     )
+
+
+def _upright(
+    marker_set: MarkerSet, trials: Sequence[MarkerTrial], vertical: str | None
+) -> tuple[str, Sequence[MarkerTrial], dict[str, str]]:
+    """Return the axis that points up, the trials, and those that were turned to it, with their own axes.
+
+    vertical: as the user has it, for all trials; None: as the markers show it.
+    """
+    if vertical is not None:
+        return vertical, trials, {}
+    vertical = vertical_axis(marker_set, trials[0])
+    return vertical, *standing_alike(marker_set, trials, vertical)
 
 
 class _Evidence(NamedTuple):
