@@ -20,8 +20,8 @@ from gateway.analysis import graphs
 from gateway.analysis.analysing import MeasuredForces, analyse
 from gateway.analysis.drawing import draw, png, scene_of
 from gateway.analysis.muscles import find_muscles
+from gateway.body.body_file import WorldSettings, worn_without_modules
 from gateway.body.inertia import body_inertia
-from gateway.body.rig import WorldSettings, worn_without_modules
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import fit_body
 from gateway.reconstruction.optical.worn_markers import fitting_set

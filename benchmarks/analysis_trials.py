@@ -12,8 +12,8 @@ from devices.marker_files import MarkerTrial, read_c3d
 from devices.marker_files.force_plates import ForcePlates, read_force_plates
 from gateway.analysis.analysing import Analysis, MeasuredForces, analyse
 from gateway.analysis.floor import Source
+from gateway.body.body_file import WorldSettings, worn_without_modules
 from gateway.body.inertia import BodyInertia, body_inertia
-from gateway.body.rig import WorldSettings, worn_without_modules
 from gateway.frames import FloatArray, IntArray
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import load_marker_set

@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from devices.emulators.recording_formats import read_hipose_mtw17
 from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
+from gateway.body.body_file import load_body
 from gateway.body.joint_angles import joint_angles
-from gateway.body.rig import load_body, load_rig
+from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.emulation.recordings import align, orientations, reference_at, solve
 from gateway.frames import FloatArray

@@ -14,8 +14,9 @@ from benchmarks.figures import Figure, Report, table
 from benchmarks.joint_recordings import JointTrial, hipose, joint_trial, read_qmt
 from devices.emulators.imperfections import TYPICAL
 from devices.emulators.recording_formats import METAL_TABLE_S, read_ring_chain5
+from gateway.body.body_file import load_body
 from gateway.body.joint_angles import joint_angles
-from gateway.body.rig import load_body, load_rig
+from gateway.body.rig import load_rig
 from gateway.emulation.recordings import align, orientations, reference_at, solve
 from gateway.emulation.rig import dress, move
 from gateway.emulation.simulation import through_the_wire

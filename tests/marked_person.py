@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gateway.body.body_file import load_body
 from gateway.body.markers import BodyMarkers
-from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.body.subject_file import subject_content, write_subject
 from gateway.frames import FloatArray

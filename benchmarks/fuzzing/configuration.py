@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from benchmarks.fuzzing.files import in_a_file, refused_or_read
-from gateway.body.rig import load_body, load_rig
+from gateway.body.body_file import load_body
+from gateway.body.rig import load_rig
 from gateway.body.urdf import import_urdf
 from gateway.clocks.table import load_clock_table, save_clock_table
 from gateway.imports.segment_names import read_maps

@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from gateway.body.body_file import Vector
 from gateway.body.inertia import NO_MASS_KG, BodyInertia
-from gateway.body.rig import Vector
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest
 from gateway.support.settings_files import Strict, load_settings

@@ -13,9 +13,9 @@ import numpy as np
 import yaml
 from pydantic import Field
 
+from gateway.body.body_file import BodyFile, Vector, WorldSettings, skeleton_of, worn_without_modules
 from gateway.body.camera_entries import CameraEntry
 from gateway.body.markers import BodyMarkers
-from gateway.body.rig import BodyFile, Vector, WorldSettings, skeleton_of, worn_without_modules
 from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
 from gateway.errors import SettingsError, nearest
 from gateway.support.settings_files import Strict, load_settings

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from gateway.body.anthropometry import Subject, scaled
-from gateway.body.rig import RigFile, load_body
+from gateway.body.body_file import load_body
+from gateway.body.rig import RigFile
 from gateway.body.skeleton import Skeleton
 from gateway.calibration.mounting import keep, worn_rig
 from gateway.calibration.rig_file import write_rig

@@ -16,8 +16,8 @@ from rich.table import Table
 from rich.tree import Tree
 
 from gateway.body.anthropometry import Subject, scaled, segment_masses
+from gateway.body.body_file import load_body
 from gateway.body.joints import WORLD, Joint
-from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import import_urdf
 from gateway.cli.options import AsJson

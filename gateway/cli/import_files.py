@@ -126,7 +126,8 @@ def _suit(
     recording: Recording, name: str, maps: Mapping[str, str], wanted: Import
 ) -> tuple[WornSuit, list[str]]:
     """Return the suit, and what the user should know of it. maps: module to segment."""
-    from gateway.body.rig import load_body, load_rig
+    from gateway.body.body_file import load_body
+    from gateway.body.rig import load_rig
     from gateway.imports.segment_names import mapped_segments
     from gateway.imports.suits import Worn, dressed
 

@@ -12,7 +12,7 @@ import numpy as np
 from devices.deferred import Deferred
 from devices.marker_files import holds_markers
 from devices.vendor_formats.sheets import FormatError
-from gateway.body.rig import load_body
+from gateway.body.body_file import load_body
 from gateway.errors import GatewayError
 from gateway.imports.segment_names import BODY
 from gateway.support.settings_files import load_settings

@@ -9,8 +9,8 @@ import numpy as np
 
 from devices.deferred import Rotation
 from devices.emulators.recordings import LocalTrack
+from gateway.body.body_file import load_body
 from gateway.body.part import reduced
-from gateway.body.rig import load_body
 from gateway.body.skeleton import LocalDevice, WornSuit, field_vector
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, Quantity

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gateway.analysis.body_model import require_biomech
 from gateway.analysis.live import SPAN_S, LiveMuscles
-from gateway.body.rig import load_body
+from gateway.body.body_file import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray

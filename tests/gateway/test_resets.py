@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from devices.emulators.imperfections import TYPICAL
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
-from gateway.body.rig import load_body, load_rig
+from gateway.body.body_file import load_body
+from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, move
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame

@@ -22,7 +22,8 @@ from devices.link import LinkError
 from devices.vendor_formats.column_map import ColumnMap
 from gateway.analysis.inertia_file import InertiaFile
 from gateway.analysis.muscle_settings import MuscleFile
-from gateway.body.rig import load_body, load_rig
+from gateway.body.body_file import load_body
+from gateway.body.rig import load_rig
 from gateway.body.robot import RobotFile
 from gateway.calibration.cameras_file import load_cameras
 from gateway.cameras.broker_link import link_of

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from gateway.body.rig import load_body
+from gateway.body.body_file import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest
 from gateway.support.settings_files import Strict, find_file, load_settings

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from gateway.body.body_file import load_body
 from gateway.body.markers import BodyMarkers
-from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest
 from gateway.support.settings_files import Strict, find_file, load_settings

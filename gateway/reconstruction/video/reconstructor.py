@@ -9,8 +9,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.body.body_file import WorldSettings, worn_without_modules
 from gateway.body.camera import Camera
-from gateway.body.rig import WorldSettings, worn_without_modules
 from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
 from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set

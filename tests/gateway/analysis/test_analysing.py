@@ -18,8 +18,8 @@ from gateway.analysis.muscles import find_muscles, muscle_torques
 from gateway.analysis.page import write_page
 from gateway.analysis.smooth_motion import low_pass, rotation_derivatives
 from gateway.analysis.tables import tables, write_tables
+from gateway.body.body_file import load_body
 from gateway.body.inertia import body_inertia, leg_stature, neutral_positions
-from gateway.body.rig import load_body
 from gateway.cli.main import app
 from gateway.errors import GatewayError
 from gateway.frames import Status

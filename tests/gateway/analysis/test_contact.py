@@ -14,8 +14,8 @@ from gateway.analysis.floor import Source, feet
 from gateway.analysis.inverse_dynamics import inverse_dynamics
 from gateway.analysis.plates import measured_floor
 from gateway.analysis.smooth_motion import smooth_motion
+from gateway.body.body_file import load_body
 from gateway.body.inertia import body_inertia
-from gateway.body.rig import load_body
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 BODY = load_body("human_17")

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.analysis.cycles import PERCENT, cycles, foot_of, normal_band, stance_spans, strides
 from gateway.analysis.floor import FloorForces, Source
-from gateway.body.rig import load_body
+from gateway.body.body_file import load_body
 
 BODY = load_body("human_17")
 FEET = np.array([BODY.index("left_foot"), BODY.index("right_foot")])

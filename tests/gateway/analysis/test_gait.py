@@ -6,7 +6,7 @@ import numpy as np
 
 from gateway.analysis.floor import FloorForces, Source
 from gateway.analysis.gait import gait_events
-from gateway.body.rig import load_body
+from gateway.body.body_file import load_body
 
 BODY = load_body("human_17")
 FEET = np.array([BODY.index("left_foot"), BODY.index("right_foot")])

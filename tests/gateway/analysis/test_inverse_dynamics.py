@@ -8,8 +8,8 @@ import pytest
 from gateway.analysis.floor import FloorForces
 from gateway.analysis.inverse_dynamics import inverse_dynamics
 from gateway.analysis.smooth_motion import smooth_motion
+from gateway.body.body_file import load_body
 from gateway.body.inertia import BodyInertia, body_inertia
-from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 
 pytest.importorskip("mujoco")

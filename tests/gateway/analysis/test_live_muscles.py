@@ -15,8 +15,8 @@ from gateway.analysis.analysing import analyse_motion
 from gateway.analysis.live import GRAVITY, LAG_S, SPAN_S, LiveMuscles
 from gateway.analysis.muscles import find_muscles
 from gateway.analysis.smooth_motion import smooth_motion
+from gateway.body.body_file import load_body
 from gateway.body.inertia import body_inertia
-from gateway.body.rig import load_body
 from gateway.errors import GatewayError
 from gateway.viewer.muscle_wires import MuscleWires, segments_of
 

@@ -14,8 +14,8 @@ from gateway.analysis.muscle_paths import MusclePaths
 from gateway.analysis.muscle_settings import load_costs
 from gateway.analysis.muscles import find_muscles
 from gateway.analysis.smooth_motion import smooth_motion
+from gateway.body.body_file import load_body
 from gateway.body.inertia import body_inertia
-from gateway.body.rig import load_body
 
 BODY = load_body("human_17")
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -6,7 +6,7 @@ from scipy.optimize import lsq_linear
 
 from gateway.analysis.muscle_settings import load_costs
 from gateway.analysis.tension import TensionSolver
-from gateway.body.rig import load_body
+from gateway.body.body_file import load_body
 from gateway.errors import GatewayError
 
 pytest.importorskip("mujoco")

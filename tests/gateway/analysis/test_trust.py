@@ -8,8 +8,8 @@ pytest.importorskip("mujoco")
 
 from gateway.analysis.analysing import analyse
 from gateway.analysis.inertia_file import load_inertia
+from gateway.body.body_file import load_body
 from gateway.body.inertia import body_inertia
-from gateway.body.rig import load_body
 from gateway.errors import GatewayError
 from gateway.frames import Status
 from gateway.recording import SkeletonArrays

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from gateway.body.anthropometry import LENGTH_OF_STATURE, MASS_OF_BODY, Subject, scaled, segment_masses
-from gateway.body.rig import load_body, load_rig
+from gateway.body.body_file import load_body
+from gateway.body.rig import load_rig
 from gateway.errors import SettingsError
 from gateway.support.settings_files import shipped_folder
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gateway.body.body_file import load_body
 from gateway.body.joint_angles import JointAngles
-from gateway.body.rig import load_body
 from gateway.geometry import quaternion
 from gateway.viewer.pose_table import attitude
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gateway.body.body_file import load_body
 from gateway.body.interpolation import BETWEEN_SIGMA, FOLLOWING_SIGMA, follow, following_rules
-from gateway.body.rig import load_body, load_rig
+from gateway.body.rig import load_rig
 from gateway.errors import SettingsError
 from gateway.frames import Status
 

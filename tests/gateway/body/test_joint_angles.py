@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from gateway.body.body_file import load_body
 from gateway.body.joint_angles import JointAngles, joint_angles, joint_rotation, posture
 from gateway.body.joints import Angle, Decomposition, Joint
-from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 
 HUMAN = load_body("human_17")

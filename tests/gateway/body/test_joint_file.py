@@ -2,7 +2,8 @@
 
 import pytest
 
-from gateway.body.rig import load_body, load_rig
+from gateway.body.body_file import load_body
+from gateway.body.rig import load_rig
 from gateway.errors import SettingsError
 from gateway.support.settings_files import shipped_folder
 

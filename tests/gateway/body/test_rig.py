@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from gateway.body.rig import load_body, load_rig
+from gateway.body.body_file import load_body
+from gateway.body.rig import load_rig
 from gateway.body.skeleton import field_vector
 from gateway.errors import SettingsError
 from gateway.frames import Quantity

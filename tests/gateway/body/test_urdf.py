@@ -8,9 +8,9 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from gateway.body.body_file import load_body
 from gateway.body.joint_angles import JointAngles, posture
 from gateway.body.kinematics import joint_positions
-from gateway.body.rig import load_body
 from gateway.body.urdf import import_urdf
 from gateway.errors import SettingsError
 

@@ -10,7 +10,8 @@ import yaml
 from typer.testing import CliRunner
 
 from gateway.body.anthropometry import lengths_of
-from gateway.body.rig import load_body, load_rig
+from gateway.body.body_file import load_body
+from gateway.body.rig import load_rig
 from gateway.calibration.control import CalibrationControl
 from gateway.calibration.kept_rig import KeptRig, measured
 from gateway.calibration.mounting import history

@@ -6,8 +6,8 @@ import numpy as np
 import orjson
 import pytest
 
+from gateway.body.body_file import load_body
 from gateway.body.joint_angles import JointAngles, posture
-from gateway.body.rig import load_body
 from gateway.contract.messages import BodyMessage, PoseMessage, describe_body
 from gateway.frames import SkeletonFrame
 from gateway.outputs.pose_encoding import PoseEncoder

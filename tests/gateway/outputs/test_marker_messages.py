@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.body.rig import load_body
+from gateway.body.body_file import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.contract.messages import MarkersMessage
 from gateway.contract.topics import Topics

@@ -8,7 +8,7 @@ import string
 import pytest
 
 from devices.calibration_script import timetable
-from gateway.body.rig import load_body
+from gateway.body.body_file import load_body
 from gateway.calibration.movement_check import MOVEMENTS
 from gateway.calibration.procedure import PROCEDURE
 from gateway.errors import GatewayError

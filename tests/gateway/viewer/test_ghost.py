@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.body.rig import load_body
+from gateway.body.body_file import load_body
 from gateway.errors import GatewayError
 from gateway.frames import Status
 from gateway.geometry import quaternion

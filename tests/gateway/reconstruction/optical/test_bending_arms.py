@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from devices.marker_files import read_markers
-from gateway.body.rig import load_body
+from gateway.body.body_file import load_body
 from gateway.emulation import optical_truth
 from gateway.emulation.optical_truth import SimulatedTrial, placed_markers, simulated
 from gateway.frames import FloatArray

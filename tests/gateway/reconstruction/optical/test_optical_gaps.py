@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gateway.body.body_file import load_body
 from gateway.body.markers import BodyMarkers
-from gateway.body.rig import load_body
 from gateway.emulation.optical_truth import cut_gaps
 from gateway.frames import FloatArray, MarkerFrame, Status
 from gateway.geometry import quaternion

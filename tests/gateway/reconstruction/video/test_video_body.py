@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gateway.body.rig import load_body
+from gateway.body.body_file import load_body
 from gateway.emulation.video_truth import walking
 from gateway.errors import SettingsError
 from gateway.geometry import quaternion

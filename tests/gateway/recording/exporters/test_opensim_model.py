@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gateway.body.body_file import load_body
 from gateway.body.joint_angles import posture
-from gateway.body.rig import load_body
 from gateway.frames import FloatArray
 from gateway.recording import SkeletonArrays
 from gateway.recording.exporters.formats import FORMATS, Axes
