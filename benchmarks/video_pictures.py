@@ -18,8 +18,9 @@ from gateway.geometry import quaternion
 from gateway.reconstruction.video.initial import centroids
 from gateway.reconstruction.video.inverse_kinematics import keypoint_places, video_body
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
-from gateway.reconstruction.video.networks.network import PoseNetwork, load_network
+from gateway.reconstruction.video.networks.network import PoseNetwork
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
+from gateway.reconstruction.video.networks.weights import load_network
 from gateway.reconstruction.video.projection import camera_model
 from gateway.reconstruction.video.reconstructor import VideoOptions, VideoReconstructor
 from gateway.reconstruction.video.region import PersonRegion

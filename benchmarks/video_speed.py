@@ -33,8 +33,9 @@ from gateway.pipeline import Pipeline
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.networks.cropping import cropped
-from gateway.reconstruction.video.networks.network import PoseNetwork, load_network
+from gateway.reconstruction.video.networks.network import PoseNetwork
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
+from gateway.reconstruction.video.networks.weights import load_network
 from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.reconstruction.video.region import PersonRegion, peaks, region_of_maps
 from gateway.recording.video import LINK, video_chunks, video_settings, video_suit

