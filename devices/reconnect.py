@@ -16,6 +16,8 @@ from typing import Any
 from devices.back_off import BackOff
 from devices.link import Link, LinkBusyError, LinkError, LinkItem
 from devices.link_counts import LinkCounts
+from devices.marker_file_link import MarkerFileLink
+from devices.replay_link import ReplayLink
 
 _log = logging.getLogger(__name__)
 
@@ -41,6 +43,13 @@ class LinkStatus:
     """One line that says what would do."""
     is_busy: bool = False
     """Whether another program has the port."""
+
+
+def kept_open(link: Link, on_change: Callable[[LinkStatus], None] | None = None) -> Link:
+    """Return a link that is opened again whenever it is lost; a file that was read to its end is not."""
+    if isinstance(link, ReplayLink | MarkerFileLink):
+        return link
+    return ReconnectingLink(link, on_change=on_change)
 
 
 class ReconnectingLink:

@@ -16,8 +16,8 @@ from rich.table import Table
 
 from devices.link import SUIT, Chunk, Link, gateway_time_ns
 from devices.link_decoder import LinkDecoder
-from devices.reconnect import ReconnectingLink
-from devices.replay_link import ReplayLink, framings_of
+from devices.reconnect import kept_open
+from devices.replay_link import framings_of
 from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, Axis, axis_of, cameras_text, load_cameras
 from gateway.cli.calibrate_body import body, put_back, versions
@@ -252,12 +252,7 @@ async def _measure_clocks(settings: GatewaySettings, calibration: ClockCalibrati
             "no link carries modules of our own, which alone have clock tables: rates of others "
             "are estimated while the gateway runs"
         )
-    tasks = [
-        asyncio.create_task(
-            _listen(link if isinstance(link, ReplayLink) else ReconnectingLink(link), calibration)
-        )
-        for link in links
-    ]
+    tasks = [asyncio.create_task(_listen(kept_open(link), calibration)) for link in links]
 
     begin_ns = gateway_time_ns()
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())

@@ -20,8 +20,8 @@ from rich.text import Text
 
 from devices.calibration_script import PERIOD_S, begin_of_script, timetable
 from devices.link import Link, gateway_time_ns
-from devices.reconnect import ReconnectingLink
-from devices.replay_link import ReplayLink, contents_of
+from devices.reconnect import kept_open
+from devices.replay_link import contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.procedure import Kind, Step
 from gateway.cli.options import link_of
@@ -200,7 +200,7 @@ async def _calibrate(
     pipeline.module_stage.on_frame = guide.session.add
     worn_links = [one for one in settings.links if one.carries != "heat_maps"]
     readers = [
-        asyncio.create_task(_read(_steady(link_from_url(one.url, name=one.name)), one.carries, pipeline))
+        asyncio.create_task(_read(kept_open(link_from_url(one.url, name=one.name)), one.carries, pipeline))
         for one in worn_links
     ]
     try:
@@ -209,10 +209,6 @@ async def _calibrate(
         for reader in readers:
             reader.cancel()
         await asyncio.gather(*readers, return_exceptions=True)
-
-
-def _steady(link: Link) -> Link:
-    return link if isinstance(link, ReplayLink) else ReconnectingLink(link)
 
 
 async def _read(link: Link, carries: str, pipeline: Pipeline) -> None:

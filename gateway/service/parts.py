@@ -7,9 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import gateway
 from devices.link import Link
-from devices.marker_file_link import MarkerFileLink
-from devices.reconnect import LinkStatus, ReconnectingLink
-from devices.replay_link import ReplayLink
+from devices.reconnect import LinkStatus, kept_open
 from gateway.body.skeleton import WornSuit
 from gateway.cameras.broker_link import link_of
 from gateway.contract.messages import BridgeInfo, KernelsInfo, ModuleInfo
@@ -32,13 +30,7 @@ def links_of(
     on_change: called with a link's name and state. broker_port: of the broker, once it is known.
     """
     links = [link_of(link, settings.mqtt, broker_port) for link in settings.links]
-    # A file that was read to its end is not opened again.
-    return [
-        link
-        if isinstance(link, ReplayLink | MarkerFileLink)
-        else ReconnectingLink(link, on_change=functools.partial(on_change, link.name))
-        for link in links
-    ]
+    return [kept_open(link, functools.partial(on_change, link.name)) for link in links]
 
 
 def unworn_modules(settings: GatewaySettings) -> set[int]:
