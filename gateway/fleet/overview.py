@@ -60,6 +60,17 @@ class Row:
 
 
 @dataclass
+class Second:
+    """Live poses of one gateway within a second."""
+
+    begun_s: float
+    delay_s: float | None
+    """From the pose's instant to us, of the first one; None: not known."""
+    received: int = 0
+    missing: int = 0
+
+
+@dataclass
 class Seen:
     """What was heard of one gateway."""
 
@@ -81,8 +92,8 @@ class Seen:
     """Live poses that had come already, or after newer ones."""
     late: int = 0
     """Poses that came later and had not come live."""
-    window: list[tuple[float, int, int, float | None]] = field(default_factory=list)
-    """(second, received, missing, delay) of each of the last seconds."""
+    window: list[Second] = field(default_factory=list)
+    """The last seconds in which poses came."""
 
     def pose(self, t_ns: int, seq: int, now_s: float, utc_ns: int) -> None:
         """Count a live pose."""
@@ -100,12 +111,11 @@ class Seen:
         delay_s = None
         if self.info is not None and self.info.utc is not None:
             delay_s = (utc_ns - t_ns - self.info.utc.offset_ns) * 1e-9
-        if self.window and now_s - self.window[-1][0] < 1.0:
-            begun, received, earlier, delay = self.window[-1]
-            self.window[-1] = begun, received + 1, earlier + len(missing), delay
-        else:
-            self.window.append((now_s, 1, len(missing), delay_s))
-            self.window = [each for each in self.window if now_s - each[0] < WINDOW_S + 1]
+        if not self.window or now_s - self.window[-1].begun_s >= 1.0:
+            self.window = [each for each in self.window if now_s - each.begun_s < WINDOW_S + 1]
+            self.window.append(Second(now_s, delay_s))
+        self.window[-1].received += 1
+        self.window[-1].missing += len(missing)
 
     def late_pose(self, seq: int) -> None:
         """Count a pose that came later: once, and only if it is missing."""
@@ -202,10 +212,10 @@ class Fleet:
         return [self._row(name, seen, now_s, usual) for name, seen in there.items()]
 
     def _row(self, name: str, seen: Seen, now_s: float, usual: str | None) -> Row:
-        window = [each for each in seen.window if now_s - each[0] < WINDOW_S]
-        received, lost = sum(each[1] for each in window), sum(each[2] for each in window)
-        delays = sorted(each[3] for each in window if each[3] is not None)
-        span_s = now_s - window[0][0] if window else 0.0
+        window = [each for each in seen.window if now_s - each.begun_s < WINDOW_S]
+        received, lost = sum(each.received for each in window), sum(each.missing for each in window)
+        delays = sorted(each.delay_s for each in window if each.delay_s is not None)
+        span_s = now_s - window[0].begun_s if window else 0.0
         recording = seen.health.statistics.get("recording") if seen.health is not None else None
         free_mb = recording.get("free_mb") if isinstance(recording, dict) else None
         row = Row(
