@@ -60,25 +60,13 @@ def list_files(
 @with_suit
 def start_recording(suit: SuitChoice, device: Device = "relay") -> None:
     """Begin to record on the card, in a new file."""
-
-    async def work(operations: Operations) -> int:
-        await operations.perform("card_start", {"device": device})
-        typer.echo("the card records")
-        return 0
-
-    run_with_suit(suit, work)
+    _order(suit, "card_start", {"device": device}, "the card records")
 
 
 @with_suit
 def stop_recording(suit: SuitChoice, device: Device = "relay") -> None:
     """End the recording on the card."""
-
-    async def work(operations: Operations) -> int:
-        await operations.perform("card_stop", {"device": device})
-        typer.echo("the card has stopped recording")
-        return 0
-
-    run_with_suit(suit, work)
+    _order(suit, "card_stop", {"device": device}, "the card has stopped recording")
 
 
 @with_suit
@@ -132,10 +120,16 @@ def erase(
     """Erase a file of the card, or all. Needs --allow-writes."""
     if (file is None) != every:
         raise GatewayError("which file? give its number, or --all")
+    outcome = "all files are erased" if every else f"file {file} is erased"
+    _order(suit, "card_erase", {"device": device, "file": file}, outcome)
+
+
+def _order(suit: SuitChoice, operation: str, wanted: dict[str, object], outcome: str) -> None:
+    """Have the relay do something with its card, and print what came of it."""
 
     async def work(operations: Operations) -> int:
-        await operations.perform("card_erase", {"device": device, "file": file})
-        typer.echo("all files are erased" if every else f"file {file} is erased")
+        await operations.perform(operation, wanted)
+        typer.echo(outcome)
         return 0
 
     run_with_suit(suit, work)
