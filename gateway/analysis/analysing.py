@@ -81,7 +81,7 @@ class Analysis:
 
     @property
     def known_power(self) -> FloatArray:
-        """``power``, likewise."""
+        """(F, J) ``power``, likewise."""
         return np.where(self.is_known, self.power, np.nan)
 
     @property
@@ -104,7 +104,8 @@ def analyse(
     measured: MeasuredForces | None = None,
     progress: ProgressOf | None = None,
 ) -> Analysis:
-    """Analyse everything but muscles. measured: None where the floor's forces are to be estimated.
+    """Analyse everything but muscles. gravity: (3,) m/s². measured: None where the floor's forces are to be
+    estimated.
 
     Raises ``GatewayError`` for a motion too short, a cut-off too high, or without mujoco.
     """

@@ -114,7 +114,8 @@ def inverse_dynamics(
     floor: FloorForces | None = None,
     progress: Progress | None = None,
 ) -> Dynamics:
-    """Return the moments of all joints over a motion. Raises ``GatewayError`` without mujoco."""
+    """Return the moments of all joints over a motion; gravity (3,), m/s². Raises ``GatewayError`` without
+    mujoco."""
     solver = InverseDynamics(motion, inertia, gravity)
     frames, segments = motion.rotation.shape[:2]
     moment, p_w = np.zeros((2, frames, segments, 3))

@@ -74,7 +74,9 @@ def plain_costs(names: tuple[str, ...], frames: int) -> MuscleCosts:
 
 
 def load_costs(path: Path, names: tuple[str, ...], peak_n: FloatArray, time_s: FloatArray) -> MuscleCosts:
-    """Of a file, for these muscles and instants. Raises ``SettingsError`` naming file, entry and remedy."""
+    """Return a file's costs for these muscles, peak forces (W,), N, and instants (F,), s.
+
+    Raises ``SettingsError`` naming file, entry and remedy."""
     file = load_settings(path, MuscleFile)
     found = replace(plain_costs(names, len(time_s)), curves=file.curves)
     found.strength[:] = file.strength

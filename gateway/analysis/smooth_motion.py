@@ -89,7 +89,8 @@ def smooth_motion(
 
 
 def low_pass(values: FloatArray, rate_hz: float, cutoff_hz: float | None) -> FloatArray:
-    """Butterworth of order 2, forward and backward along the first axis; None: unchanged.
+    """Return values (F, …) after a Butterworth of order 2, forward and backward along the first axis; None:
+    unchanged.
 
     Raises ``GatewayError`` for a cut-off at or beyond half the sampling rate.
     """

@@ -169,7 +169,7 @@ class WornSuit:
 
 
 def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -> FloatArray:
-    """Return the local magnetic field in ENU, µT.
+    """Return the local magnetic field (3,) in ENU, µT.
 
     dip_deg: angle below the horizontal (positive in the northern hemisphere).
     declination_deg: magnetic north, clockwise from geographic north.

@@ -140,7 +140,10 @@ def _begins_dark(board: Board, pixels: FloatArray, grey: Picture) -> bool:
 
 
 def draw_board(picture: Picture, view: BoardView | None, expected: FloatArray | None = None) -> Picture:
-    """Return the picture with the corners found (circles) and those that the calibration expects (red)."""
+    """Return the picture with the corners found (circles) and those that the calibration expects (red).
+
+    expected: (n, 2) pixels.
+    """
     drawn = picture.copy()
     size = max(round(picture.shape[0] / 200), 2)
     if view is None:

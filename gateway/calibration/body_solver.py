@@ -145,7 +145,7 @@ class _Unknowns:
         )
 
     def residuals(self, x: FloatArray) -> FloatArray:
-        """Return all residuals, each divided by its standard deviation."""
+        """Return all residuals (k,), each divided by its standard deviation, of unknowns x (``size``,)."""
         R_bs, places, headings, joints, facing = self.unpack(x)
         wearer = Rotation.from_rotvec([0.0, 0.0, facing]).as_matrix()
         worlds = _turns(headings)
@@ -195,7 +195,8 @@ class _Unknowns:
         return _Unknowns(self.problem, self.used, sigma)
 
     def solution(self, x: FloatArray, jacobian: FloatArray) -> Solution:
-        """Return the unknowns as arrays over all segments, with standard deviations from the Jacobian."""
+        """Return the unknowns as arrays over all segments, with standard deviations from the Jacobian
+        (k, ``size``) of the residuals."""
         R_bs, places, headings, joints, facing = self.unpack(x)
         problem, n, s = self.problem, len(self.used), len(self.problem.places)
         variance = np.diag(np.linalg.pinv(jacobian.T @ jacobian))

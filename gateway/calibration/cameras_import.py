@@ -201,7 +201,7 @@ def _numbers(table: Mapping[str, Any], key: str, shape: Sequence[int] | None, wh
 
 
 def five_coefficients(given: FloatArray, where: str) -> FloatArray:
-    """Return k1, k2, p1, p2, k3; those that a file lacks are zero.
+    """Return k1, k2, p1, p2, k3 (5,) of those given (n,); those that a file lacks are zero.
 
     Raises ``SettingsError`` for the rational and thin-prism models.
     """

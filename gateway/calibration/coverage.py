@@ -53,7 +53,8 @@ def coverage(vectors: FloatArray, centre: FloatArray | None = None) -> float:
 
 
 def missing_sides(vectors: FloatArray, centre: FloatArray | None = None) -> list[str]:
-    """Return axis directions such as ``-z`` within 40° of which there is no vector."""
+    """Return axis directions such as ``-z`` within 40° of which there is none of the vectors (n, 3), seen
+    from a centre (3,)."""
     if len(vectors) == 0:
         return list(SIDES)
     seen = vectors if centre is None else vectors - centre
@@ -62,7 +63,8 @@ def missing_sides(vectors: FloatArray, centre: FloatArray | None = None) -> list
 
 
 def evenly(vectors: FloatArray, centre: FloatArray, most: int) -> FloatArray:
-    """Return at most ``most`` of the vectors from each cell, spread over time, so that no rest dominates."""
+    """Return at most ``most`` of the vectors (n, 3) from each cell about a centre (3,), spread over time, so
+    that no rest dominates."""
     cells = cells_of(vectors - centre)
     kept = [_spread(np.flatnonzero(cells == cell), most) for cell in np.unique(cells)]
     return vectors[np.sort(np.concatenate(kept))] if kept else vectors

@@ -127,7 +127,8 @@ def _start(readings: FloatArray, strength: float, shape: Shape) -> tuple[FloatAr
 
 
 def sphere(readings: FloatArray) -> tuple[FloatArray, float]:
-    """Return centre and radius of the algebraic least-squares sphere."""
+    """Return centre (3,) and radius of the algebraic least-squares sphere through readings (n, 3), in their
+    unit."""
     middle = readings.mean(axis=0)
     m = readings - middle
     design = np.column_stack([2.0 * m, np.ones(len(m))])

@@ -82,12 +82,12 @@ class JointEquations:
         return folded
 
     def rms(self, rho_1: FloatArray, rho_2: FloatArray, heading: float) -> float:
-        """Return the RMS of an instant's vector difference, m/s²."""
+        """Return the RMS of an instant's vector difference, m/s², with lever arms (3,) in m."""
         return float(np.sqrt(np.sum(self.residuals(rho_1, rho_2, heading) ** 2) / max(self.n, 1)))
 
 
 def features(rho_1: FloatArray, rho_2: FloatArray, heading: float) -> FloatArray:
-    """Return (16,) what the folded equations are linear in."""
+    """Return (16,) what the folded equations are linear in; arms from both modules to the joint (3,), m."""
     second = np.concatenate([[1.0], rho_2])
     turn = np.array([np.cos(heading), np.sin(heading), 1.0])
     return np.concatenate([[1.0], rho_1, np.outer(turn, second).ravel()])

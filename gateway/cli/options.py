@@ -32,6 +32,7 @@ def with_options(*groups: type[Any]) -> Callable[[Command], Command]:
     ]
 
     def dressed(command: Command) -> Command:
+        """Return a command that takes the options one by one, and passes them on by group."""
         own = list(inspect.signature(command, eval_str=True).parameters.values())[len(groups) :]
 
         @wraps(command)

@@ -32,13 +32,13 @@ def orientation_error(q_wb: FloatArray, q_wb_reference: FloatArray) -> Orientati
 
 
 def rmse_deg(errors: FloatArray) -> FloatArray:
-    """Root mean square over the first axis, degrees, NaN left out."""
+    """Return the root mean square (…) of errors (n, …), rad, over the first axis, degrees, NaN left out."""
     mean_square: FloatArray = np.asarray(np.nanmean(np.square(errors), axis=0))
     return np.degrees(np.sqrt(mean_square))
 
 
 def coverage_percent(errors: FloatArray, sigma: FloatArray) -> float:
-    """Return percent of errors (rad) within two sigma; NaN where nothing is claimed."""
+    """Return percent of errors (…), rad, within two sigma (…), rad; NaN where nothing is claimed."""
     if np.isnan(sigma).all():
         return float("nan")
     return float(100.0 * np.mean(errors < 2.0 * sigma))

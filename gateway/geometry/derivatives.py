@@ -19,7 +19,7 @@ def angular_rate(R_before: FloatArray, R_now: FloatArray, dt: float) -> FloatArr
 
 @compiled
 def difference(before: FloatArray, now: FloatArray, dt: float) -> FloatArray:
-    """Backward difference (now − before) / Δt of a sampled vector."""
+    """Return the backward difference (now − before) / Δt of a sampled vector (3,), dt in s."""
     return (now - before) / dt
 
 
@@ -27,7 +27,8 @@ def difference(before: FloatArray, now: FloatArray, dt: float) -> FloatArray:
 def difference_of_means(
     mean_before: FloatArray, mean_now: FloatArray, dt_before: float, dt: float
 ) -> FloatArray:
-    """Backward difference of two means over successive steps, which belong to the middles of the steps.
+    """Return the backward difference of two means (3,) over successive steps, s, which belong to the middles
+    of the steps.
 
     With equal steps this is (now − before) / Δt; with unequal ones only the distance of the middles
     gives a derivative that converges.
@@ -39,6 +40,7 @@ def difference_of_means(
 def point_acceleration(rate_derivative: FloatArray, rate: FloatArray, arm: FloatArray) -> FloatArray:
     """Return the acceleration of a point at ``arm`` from the segment's origin.
 
-    [ω̇, ω] ⊳ r = ω̇ × r + ω × (ω × r), all in segment axes; rad/s², rad/s, m -> m/s².
+    [ω̇, ω] ⊳ r = ω̇ × r + ω × (ω × r), all in segment axes; rad/s², rad/s, m -> m/s²;
+    shapes (3,), (3,), (3,) -> (3,).
     """
     return cross(rate_derivative, arm) + cross(rate, cross(rate, arm))

@@ -52,7 +52,7 @@ def rotate(q_ab: FloatArray, v_b: FloatArray) -> FloatArray:
 
 @compiled
 def rotate_into(v_a: FloatArray, q_ab: FloatArray, v_b: FloatArray | Vector3) -> None:
-    """Write v_b, rotated as ``rotate`` does, into v_a, which must not be v_b."""
+    """Write v_b (3,), rotated as ``rotate`` does, into v_a (3,), which must not be v_b."""
     w, x, y, z = q_ab[0], q_ab[1], q_ab[2], q_ab[3]
     # t = 2 u × v;  v' = v + w t + u × t
     tx = 2.0 * (y * v_b[2] - z * v_b[1])
@@ -137,7 +137,7 @@ def from_matrix(R_ab: FloatArray) -> FloatArray:
 
 @compiled
 def from_matrix_into(q_ab: FloatArray, R_ab: FloatArray) -> None:
-    """Write what ``from_matrix`` returns into a given array.
+    """Write what ``from_matrix`` returns into a given array (4,).
 
     Shepperd's method: the largest of the four components is taken from the diagonal, the others
     from sums and differences, so nothing is divided by a small number.

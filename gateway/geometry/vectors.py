@@ -56,5 +56,5 @@ def skew(a: FloatArray) -> FloatArray:
 
 @compiled
 def is_finite(a: FloatArray) -> bool:
-    """Return True when none of the three is NaN or infinite."""
+    """Return True when none of the three of a (3,) is NaN or infinite."""
     return math.isfinite(a[0]) and math.isfinite(a[1]) and math.isfinite(a[2])
