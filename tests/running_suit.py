@@ -1,18 +1,24 @@
-"""An emulated suit that runs while a test looks at it."""
+"""What runs while a test looks at it: an emulated suit, a gateway."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Coroutine
+from typing import Any, Protocol
 
-from devices.emulators.emulated_suit import EmulatedSuit
+
+class Runs(Protocol):
+    """An ``EmulatedSuit``, or a ``Service``."""
+
+    def run(self) -> Coroutine[Any, Any, None]:
+        """Run until cancelled."""
 
 
 @contextlib.asynccontextmanager
-async def running(suit: EmulatedSuit) -> AsyncIterator[asyncio.Task[None]]:
+async def running(part: Runs) -> AsyncIterator[asyncio.Task[None]]:
     """Its task, which ends with the block."""
-    task = asyncio.create_task(suit.run())
+    task = asyncio.create_task(part.run())
     try:
         yield task
     finally:

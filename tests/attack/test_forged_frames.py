@@ -77,13 +77,8 @@ async def serving(key_file, port, mosquitto):
         mqtt=MqttSettings(port=mosquitto.port),
     )
     service = Service(settings, load_rig(RIG))
-    task = asyncio.create_task(service.run())
-    try:
+    async with running(service):
         yield service
-    finally:
-        task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
 
 
 def sample(module, sequence):

@@ -122,16 +122,12 @@ async def test_a_stranger_costs_no_sample_and_gets_no_time_request(mosquitto, st
         mqtt=MqttSettings(port=mosquitto.port),
     )
     service = Service(settings, load_rig(RIG))
-    serving = asyncio.create_task(service.run())
     suit, _ = ten_modules(port)
     modules = service.pipeline.stream.modules
-    async with running(suit), pestered(stranger, port):
+    async with running(service), running(suit), pestered(stranger, port):
         await until(lambda: len(modules) == 10 and all(record.received > 50 for record in modules.values()))
         await until(lambda: service.pipeline.stream.sender_statistics()["wifi"]["strange_chunks"] > 50)
         figures = service.statistics()["senders"]["wifi"]
-    serving.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        await serving
     assert sum(record.lost for record in modules.values()) == 0
     assert len(figures["senders"]) == 10
     assert figures["strangers"] == [f"127.0.0.1:{stranger.getsockname()[1]}"]

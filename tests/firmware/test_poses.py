@@ -16,6 +16,7 @@ from gateway.service.service import Service
 from gateway.settings import GatewaySettings, LinkSettings
 from tests.firmware.machines import SHOWN, Machine
 from tests.patience import PATIENCE_S
+from tests.running_suit import running
 
 pytestmark = pytest.mark.system
 
@@ -81,9 +82,8 @@ async def test_poses_follow_the_motion_that_the_sensors_feel(module, board, mosq
         mqtt=MqttSettings(port=mosquitto.port, decimals=None),
     )
     service = Service(settings, suit)
-    serving = asyncio.create_task(service.run())
     poses = []
-    try:
+    async with running(service):
         async with PoseSubscriber(settings.mqtt, "lab") as subscriber, asyncio.timeout(4 * PATIENCE_S):
             for machine in machines:
                 machine.switch_on()
@@ -94,9 +94,6 @@ async def test_poses_follow_the_motion_that_the_sensors_feel(module, board, mosq
                     break
         modules = service.pipeline.modules.records
         bounds = [modules[number].clock.figures().bound_us for number in suit.module_ids]
-    finally:
-        serving.cancel()
-        await asyncio.gather(serving, return_exceptions=True)
     for segment, name in enumerate(suit.skeleton.segment_names):
         is_moving = played_s[:, segment] > FADED_S
         q = np.array([pose.segments[name] or [np.nan] * 4 for pose in poses])[is_moving]

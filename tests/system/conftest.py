@@ -25,6 +25,7 @@ from gateway.settings import (
     LinkSettings,
 )
 from tests.patience import PATIENCE_S
+from tests.running_suit import running
 
 
 @pytest.fixture(autouse=True)
@@ -104,20 +105,14 @@ def gateway_on(mosquitto: Any) -> Callable[..., Any]:
             assembly=AssemblySettings(rate_hz=rate_hz, max_wait_ms=10_000, hold_ms=60_000),
             mqtt=MqttSettings(port=mosquitto.port, queue_length=10_000, decimals=None),
         )
-        running = RunningGateway(Service(settings, load_rig(rig)))
-        running.service.load.observe = lambda *_: False  # nothing is given up on a machine that is too busy
-        serving = asyncio.create_task(running.service.run())
-        try:
-            async with PoseSubscriber(settings.mqtt, "lab") as poses:
-                collecting = asyncio.create_task(_collect(poses, running.received))
-                while not running.service.mqtt.is_connected and not serving.done():
-                    await asyncio.sleep(0.01)
-                yield running
-                collecting.cancel()
-        finally:
-            serving.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await serving
+        gateway = RunningGateway(Service(settings, load_rig(rig)))
+        gateway.service.load.observe = lambda *_: False  # nothing is given up on a machine that is too busy
+        async with running(gateway.service) as serving, PoseSubscriber(settings.mqtt, "lab") as poses:
+            collecting = asyncio.create_task(_collect(poses, gateway.received))
+            while not gateway.service.mqtt.is_connected and not serving.done():
+                await asyncio.sleep(0.01)
+            yield gateway
+            collecting.cancel()
 
     return start
 

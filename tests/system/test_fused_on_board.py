@@ -18,6 +18,7 @@ from gateway.outputs.subscriber import PoseSubscriber
 from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S
+from tests.running_suit import running
 
 pytestmark = pytest.mark.system
 
@@ -56,10 +57,14 @@ async def test_orientations_of_the_modules_become_poses(tmp_path, mosquitto, rec
     imperfections = replace(TYPICAL, has_random_heading=reconstructor == "fused_neutral")
     traffic = SuitTraffic(motion, SuitSettings(mode=1), imperfections, 1)
     service, emulated = Service(settings, suit), EmulatedSuit(traffic, PtyTransport(port))
-    tasks = [asyncio.create_task(service.run()), asyncio.create_task(emulated.run())]
     window, late_s, count, error_deg = deque(maxlen=WINDOW), deque(maxlen=WINDOW), 0, np.nan
     try:
-        async with asyncio.timeout(2 * PATIENCE_S), PoseSubscriber(settings.mqtt, "lab") as received:
+        async with (
+            running(service),
+            running(emulated),
+            asyncio.timeout(2 * PATIENCE_S),
+            PoseSubscriber(settings.mqtt, "lab") as received,
+        ):
             async for pose in received:
                 if not all(pose.pose.segments.values()):
                     continue
@@ -72,8 +77,4 @@ async def test_orientations_of_the_modules_become_poses(tmp_path, mosquitto, rec
                         break
     except TimeoutError:
         pytest.fail(f"{error_deg}° off after {count} whole poses, sent {np.median(late_s)} s late")
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
     assert service.statistics()["unused_readings"] == {}

@@ -27,6 +27,7 @@ from gateway.settings import GatewaySettings, LinkSettings, load_gateway_setting
 from tests.fixtures.brokers import free_port
 from tests.marked_person import places_of, subject_file, y_up
 from tests.patience import PATIENCE_S
+from tests.running_suit import running
 
 pytestmark = pytest.mark.system
 RATE_HZ, N_FRAMES = 50.0, 60
@@ -56,25 +57,19 @@ def message(body: Skeleton, markers: BodyMarkers, frame: int) -> bytes:
 @contextlib.asynccontextmanager
 async def gateway_of(settings: GatewaySettings, received: list[ReceivedPose]):
     service = Service(settings, load_rig(settings.rig))
-    serving = asyncio.create_task(service.run())
-    try:
-        async with PoseSubscriber(settings.mqtt, settings.gateway) as poses:
+    async with running(service) as serving, PoseSubscriber(settings.mqtt, settings.gateway) as poses:
 
-            async def collect() -> None:
-                async for pose in poses:
-                    received.append(pose)  # noqa: PERF401 - what has come must show at once
+        async def collect() -> None:
+            async for pose in poses:
+                received.append(pose)  # noqa: PERF401 - what has come must show at once
 
-            collecting = asyncio.create_task(collect())
-            async with asyncio.timeout(60):
-                while not service.mqtt.is_connected or service.links[0].state.value != "up":
-                    assert not serving.done()
-                    await asyncio.sleep(0.01)
-            yield service
-            collecting.cancel()
-    finally:
-        serving.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await serving
+        collecting = asyncio.create_task(collect())
+        async with asyncio.timeout(60):
+            while not service.mqtt.is_connected or service.links[0].state.value != "up":
+                assert not serving.done()
+                await asyncio.sleep(0.01)
+        yield service
+        collecting.cancel()
 
 
 async def test_datagrams_of_markers_become_the_senders_pose(mosquitto, tmp_path):

@@ -25,6 +25,7 @@ from gateway.recording import open_recording
 from gateway.recording.solving import verify
 from gateway.service.service import Service
 from gateway.settings import GatewaySettings, RecordingSettings
+from tests.running_suit import running
 
 pytestmark = pytest.mark.system
 
@@ -167,15 +168,10 @@ async def test_over_sockets_they_are_recorded_and_replayed_bit_for_bit(tmp_path,
     async with Speakers(worn) as speakers:
         settings = worn.settings(speakers.urls, mqtt=MqttSettings(port=mosquitto.port), recording=kept)
         service = Service(settings, worn.suit)
-        serving = asyncio.create_task(service.run())
-        try:
+        async with running(service):
             await until(lambda: service.pipeline.skeleton_frames >= 500)
             assert unaccounted(service.balances()) == {}
             modules = service.observer.figures().modules
-        finally:
-            serving.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await serving
     assert {module.availability for module in modules if module.module in worn.ids.values()} == {"online"}
     recording = open_recording(service.recording.status()["file"])
     assert set(recording.meta.links.values()) == {"byte_stream", "ximu3", "witmotion"}

@@ -27,6 +27,7 @@ from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
+from tests.running_suit import running
 
 pytestmark = pytest.mark.system
 
@@ -55,15 +56,11 @@ def served(mosquitto, commanded_suit, monkeypatch):
             monkeypatch.setattr("devices.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
         async with commanded_suit(**suit_settings) as suit:
             service = Service(settings, load_rig("robot_arm_4"), links=[suit.link])
-            serving = asyncio.create_task(service.run())
-            try:
+            async with running(service):
                 async with asyncio.timeout(PATIENCE_S):
                     while not service.requests.is_connected:
                         await asyncio.sleep(0.01)
                 yield suit, service, mqtt
-            finally:
-                serving.cancel()
-                await asyncio.gather(serving, return_exceptions=True)
 
     return start
 

@@ -18,6 +18,7 @@ from gateway.service import overload
 from gateway.service.overload import SHED
 from gateway.service.service import Service
 from gateway.settings import GatewaySettings
+from tests.running_suit import running
 from tests.system.test_observability import fetch
 
 pytestmark = [
@@ -56,12 +57,8 @@ async def gateway_of(link, broker_port, **settings):
         **settings,
     )
     service = Service(gateway_settings, load_rig("robot_arm_4"))
-    serving = asyncio.create_task(service.run())
-    try:
+    async with running(service):
         yield service
-    finally:
-        serving.cancel()
-        await asyncio.gather(serving, return_exceptions=True)
 
 
 async def test_order_report_recording_and_recovery(mosquitto, until, monkeypatch, tmp_path, caplog):

@@ -17,6 +17,7 @@ from gateway.emulation.rig import dress, move, worn_wrong
 from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S
+from tests.running_suit import running
 
 pytestmark = pytest.mark.system
 
@@ -36,10 +37,14 @@ async def test_its_segment_is_doubtful_and_its_state_says_why(tmp_path, mosquitt
     body = worn_wrong(dress(suit), [module], [])
     traffic = SuitTraffic(move(body, suit.skeleton.name, 1), SuitSettings(), TYPICAL, 1)
     service, emulated = Service(settings, suit), EmulatedSuit(traffic, PtyTransport(port))
-    tasks = [asyncio.create_task(service.run()), asyncio.create_task(emulated.run())]
     doubts, doubtful = {}, set()
     try:
-        async with asyncio.timeout(PATIENCE_S), aiomqtt.Client("127.0.0.1", mosquitto.port) as client:
+        async with (
+            running(service),
+            running(emulated),
+            asyncio.timeout(PATIENCE_S),
+            aiomqtt.Client("127.0.0.1", mosquitto.port) as client,
+        ):
             await client.subscribe("mocap/lab/module/+/state")
             await client.subscribe("mocap/lab/pose")
             async for message in client.messages:
@@ -52,10 +57,6 @@ async def test_its_segment_is_doubtful_and_its_state_says_why(tmp_path, mosquitt
                     break
     except TimeoutError:
         pytest.fail(f"doubts {doubts}, doubtful {doubtful}; {service.statistics()}")
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
     assert doubts.keys() == {module}
     assert "180°" in doubts[module]
     assert doubtful == {SEGMENT}
