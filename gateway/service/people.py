@@ -1,13 +1,16 @@
-"""Several people before cameras: a service of its own for each, from when they enter until they have left."""
+"""People before cameras: where they will be, for the cameras; of several, a service of its own for each, from
+when they enter until they have left."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
-from devices.link import Chunk, Link
+from devices.link import Chunk, Link, LinkError
+from devices.reconnect import ReconnectingLink
 from gateway.body.skeleton import WornSuit
 from gateway.cameras.live_crowd import LiveCrowd
 from gateway.errors import SettingsError
@@ -28,6 +31,22 @@ Serve = Callable[
     [GatewaySettings, WornSuit, Sequence[Link]], tuple[VideoReconstructor, Coroutine[Any, Any, None]]
 ]
 """Makes a person's service: what solves them in it, and what runs it until it is cancelled."""
+
+
+class CameraOrders:
+    """Writes the newest orders to every link that heat maps come by, and waits for none: what a link does not
+    take is left out."""
+
+    def __init__(self, links: Sequence[ReconnectingLink]) -> None:
+        self._links = links
+        self._writing: dict[str, asyncio.Task[None]] = {}
+
+    def send(self, line: bytes) -> None:
+        """Hand a line of orders to every link that has taken the one before. Needs a running event loop."""
+        for link in self._links:
+            before = self._writing.get(link.name)
+            if before is None or before.done():
+                self._writing[link.name] = asyncio.create_task(_write(link, line), name=f"orders {link.name}")
 
 
 class PeopleBeforeCameras:
@@ -111,3 +130,8 @@ async def _after(former: asyncio.Task[None] | None, service: Coroutine[Any, Any,
         service.close()
         raise
     await service
+
+
+async def _write(link: ReconnectingLink, line: bytes) -> None:
+    with contextlib.suppress(LinkError):  # the link's own state tells that it is down
+        await link.write(line)

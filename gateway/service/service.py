@@ -45,14 +45,13 @@ from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.recording.control import RecordingControl
 from gateway.recording.shelf import Shelf
 from gateway.service.accounting import balances_of
-from gateway.service.camera_orders import CameraOrders
 from gateway.service.further_bodies import FurtherBody, HandedLink, at_broker
 from gateway.service.host_sender import HostSender
 from gateway.service.observability import LogReport, Observer
 from gateway.service.overload import LoadWatch, Shedding
 from gateway.service.own_requests import OwnRequests
 from gateway.service.parts import bridge_info, links_of, periodic_senders, unworn_modules
-from gateway.service.people import CARRIES, PeopleBeforeCameras
+from gateway.service.people import CARRIES, CameraOrders, PeopleBeforeCameras
 from gateway.settings import GatewaySettings, fitting_suit
 from gateway.sources.registry import source_kind
 from gateway.sources.statistics import Cause
