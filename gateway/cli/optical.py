@@ -27,7 +27,6 @@ from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.outputs.settings import PoseMap
 from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
-from gateway.reconstruction.optical.residual_plot import write_residual_plot
 from gateway.recording.exporters.formats import FORMATS, check_formats
 from gateway.settings import BodySettings, GatewaySettings, load_gateway_settings
 from gateway.support.whole_files import writing
@@ -288,6 +287,8 @@ def solve(
     with progress_bar("solving", is_shown=not as_json) as progress, writing(target):
         done = write(trial, file, suit, subject, target, progress, person)
     if plot is not None:
+        from gateway.recording.optical import write_residual_plot
+
         write_residual_plot(done, trial.rate_hz, plot)
     if as_json:
         typer.echo(json.dumps(done.figures(), indent=2))
