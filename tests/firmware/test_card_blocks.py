@@ -29,10 +29,6 @@ class ReadArguments(ctypes.Structure):
     _fields_ = [("file", ctypes.c_uint16), ("offset", ctypes.c_uint32), ("length", ctypes.c_uint8)]
 
 
-class PowerIsOff(Exception):
-    """Nothing more is written."""
-
-
 class Card:
     """Blocks, and the recorder on them; a cut leaves the block under way half old and half new."""
 

@@ -38,12 +38,6 @@ trackers = st.builds(
 )
 
 
-def approximately(item):
-    """Single precision."""
-    return type(item)(*(np.float32(value).tolist() if isinstance(value, tuple) else value for value in (
-        getattr(item, name) for name in item.__slots__)))  # fmt: skip
-
-
 def test_the_layout_of_a_pose_is_that_of_other_programs():
     data = encode(QUATERNIONS, 123, 4567, [SegmentPose(1, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))])
     assert data[:6] == b"MXTP02"
