@@ -6,7 +6,7 @@ import asyncio
 import json
 import math
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +15,6 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from devices.deferred import Deferred
 from devices.qtm_link import DEFAULT_PORT
 from gateway.body.skeleton import WornSuit
 from gateway.cli.export import export
@@ -26,7 +25,7 @@ from gateway.cli.replay import play as play_link
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.outputs.settings import PoseMap
-from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
+from gateway.reconstruction import OFFLINE, OPTICAL
 from gateway.recording.exporters.formats import FORMATS, check_formats
 from gateway.settings import BodySettings, GatewaySettings, load_gateway_settings
 from gateway.support.whole_files import writing
@@ -230,11 +229,6 @@ Person = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Whose markers, where the file holds several people's (NAME:LASI)."),
 ]
-WRITERS = {
-    "default": Deferred("gateway.recording.optical", "write_solved_trial"),
-    BOTH_WAYS: Deferred("gateway.recording.optical", "write_both_ways_trial"),
-    PUBLISHED: Deferred("gateway.recording.optical", "write_published_trial"),
-}
 Method = Annotated[
     str,
     typer.Option(
@@ -268,8 +262,9 @@ def solve(
     """Solve a trial for a fitted subject, into a recording that replays, exports and reports like any
     other."""
     from devices.marker_files import read_markers
+    from gateway.recording.optical import write_residual_plot, write_solved_trial
 
-    write = _writer_of(method)
+    _check_method(method)
     suit = _subject(subject, up)
     check_formats(to or [])
     suffix = "" if method == "default" else f"_{method}"
@@ -285,10 +280,8 @@ def solve(
     if method == "default":
         make_ready(OPTICAL)
     with progress_bar("solving", is_shown=not as_json) as progress, writing(target):
-        done = write(trial, file, suit, subject, target, progress, person)
+        done = write_solved_trial(trial, file, suit, subject, target, progress, person, method)
     if plot is not None:
-        from gateway.recording.optical import write_residual_plot
-
         write_residual_plot(done, trial.rate_hz, plot)
     if as_json:
         typer.echo(json.dumps(done.figures(), indent=2))
@@ -355,7 +348,7 @@ def play(
 
 def _refuse_unplayable(file: Path, subject: Sequence[str], person: str | None, method: str) -> None:
     """Raise ``GatewayError`` for options that do not go together, or a method that cannot stream."""
-    _writer_of(method)
+    _check_method(method)
     if method in OFFLINE:
         raise GatewayError(
             f"--method {method} wants all frames at once and cannot stream: `mocap-gateway optical solve "
@@ -389,10 +382,12 @@ def _played_settings(
     return for_playing(settings.model_copy(update=changes), embedded=embedded)
 
 
-def _writer_of(method: str) -> Callable[..., SolvedTrial]:
-    if method not in WRITERS:
-        raise GatewayError(f"--method {method}: one of {', '.join(WRITERS)} is wanted")
-    return WRITERS[method]
+def _check_method(method: str) -> None:
+    """Raise ``GatewayError`` for a method that there is not."""
+    from gateway.recording.optical import METHODS
+
+    if method not in METHODS:
+        raise GatewayError(f"--method {method}: one of {', '.join(METHODS)} is wanted")
 
 
 def _subject(name: str, up: str | None = None) -> WornSuit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from devices import recording_format as fmt
 from devices.extras import how_to_add
+from devices.link import Chunk
 from devices.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial
 from devices.marker_files.naming import spelt
@@ -142,94 +143,108 @@ def write_solved_trial(
     target: Path,
     progress: Progress | None = None,
     person: str | None = None,
+    method: str = "default",
 ) -> SolvedTrial:
     """Solve every frame of a trial, and write poses and input to ``target``.
 
-    person: whose markers, as in ``spellings``. Raises ``RecordingError`` when ``target`` exists, OSError as
-    ``open`` does, ``FormatError`` where it is open whose markers are meant, ``GatewayError`` when it has
-    hardly any of them.
+    person: whose markers, as in ``spellings``. method: one of ``METHODS``. Raises ``RecordingError`` when
+    ``target`` exists, OSError as ``open`` does, ``FormatError`` where it is open whose markers are meant,
+    ``GatewayError`` when it has hardly any of them.
     """
     markers, trial = _called(suit, subject, trial, source, person)
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
-    pipeline = Pipeline.from_settings(settings, suit)
+    task = _Task(trial, source, suit, markers, settings, target)
+    return METHODS[method](task, progress)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A trial to solve, its markers named as the subject's, and where it goes."""
+
+    trial: MarkerTrial
+    source: Path
+    suit: WornSuit
+    markers: BodyMarkers
+    settings: GatewaySettings
+    target: Path
+
+    def chunks(self) -> list[Chunk]:
+        """Return the markers as a link gives them, a chunk a frame."""
+        return list(trial_chunks(self.trial, _begun_ns(self.trial), LINK))
+
+    @contextlib.contextmanager
+    def writer(self, suit: WornSuit, solved_by: str = "") -> Iterator[RecordingWriter]:
+        """Open the recording of a suit; solved_by: the method, where no pipeline can have it."""
+        origin_ns, first_ns = _origin_ns(self.trial), _begun_ns(self.trial)
+        session = imported_session({LINK: CARRIES}, self.target, "optical", origin_ns, solved_by=solved_by)
+        kind = self.source.suffix.lstrip(".").lower()
+        attachments = attachments_of(self.settings, suit)
+        with DerivedRecordingWriter(self.target, session, attachments, origin_ns) as writer:
+            writer.add(fmt.EVENTS, first_ns, origin_event(kind, [self.source], first_ns))
+            yield writer
+
+
+def _solve_live(task: _Task, progress: Progress | None) -> SolvedTrial:
+    """Solve as a running gateway does, frame by frame."""
+    trial, markers = task.trial, task.markers
+    pipeline = Pipeline.from_settings(task.settings, task.suit)
     pipeline.add_link(LINK, CARRIES)
     stage = pipeline.stage_of(MarkerFrame)
     assert isinstance(stage, MarkerStage)
     optical = stage.reconstructor
     fits = _Fits(trial.n_frames, markers)
-    chunks = list(trial_chunks(trial, _begun_ns(trial), LINK))
-    with _writer(target, source, trial, attachments_of(settings, suit)) as writer:
+    with task.writer(task.suit) as writer:
         frames, spent = solve_into(
-            writer, pipeline, chunks, CARRIES, lambda index: fits.add(index, optical.last), progress
+            writer, pipeline, task.chunks(), CARRIES, lambda index: fits.add(index, optical.last), progress
         )
         end_ns = _begun_ns(trial) + round(trial.duration_s * 1e9)
         writer.add(fmt.STATISTICS, end_ns, json.dumps(pipeline.statistics()).encode())
     return SolvedTrial(
-        target, frames, markers.labels, fits.residuals, fits.used, tuple(fits.renamed), dict(optical.counts),
-        1e3 * spent / max(trial.n_frames, 1),
+        task.target, frames, markers.labels, fits.residuals, fits.used, tuple(fits.renamed),
+        dict(optical.counts), 1e3 * spent / max(trial.n_frames, 1),
     )  # fmt: skip
 
 
-def write_published_trial(
-    trial: MarkerTrial,
-    source: Path,
-    suit: WornSuit,
-    subject: str,
-    target: Path,
-    progress: Progress | None = None,
-    person: str | None = None,
-) -> SolvedTrial:
-    """Write a trial with poses by the published method; raises as ``write_solved_trial``.
-
-    The method goes through the whole trial several times; the suit of the recording has the virtual markers
-    as it found them.
-    """
-    markers, trial = _called(suit, subject, trial, source, person)
+def _solve_published(task: _Task, progress: Progress | None) -> SolvedTrial:
+    """Solve by the published method, which goes through the whole trial several times; the suit of the
+    recording has the virtual markers as it found them."""
+    trial, markers = task.trial, task.markers
     began = time.process_time()
     observed = to_world(trial.columns(markers.labels), markers.vertical)
-    solved = published_trial(suit.skeleton, markers, observed, trial.rate_hz, progress)
+    solved = published_trial(task.suit.skeleton, markers, observed, trial.rate_hz, progress)
     spent = time.process_time() - began
-    settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
-    attachments = attachments_of(settings, replace(suit, markers=solved.motion.markers))
-    chunks = list(trial_chunks(trial, _begun_ns(trial), LINK))
-    with _writer(target, source, trial, attachments, solved_by=PUBLISHED) as writer:
+    chunks = task.chunks()
+    with task.writer(replace(task.suit, markers=solved.motion.markers), PUBLISHED) as writer:
         frames = solved.frames([chunk.arrived_ns for chunk in chunks])
         for chunk, frame in zip(chunks, frames, strict=True):
             add_solved(writer, chunk, CARRIES, [frame])
     return SolvedTrial(
-        target, trial.n_frames, markers.labels, solved.residuals, solved.seen, (),
+        task.target, trial.n_frames, markers.labels, solved.residuals, solved.seen, (),
         {"passes": solved.motion.passes}, 1e3 * spent / max(trial.n_frames, 1),
     )  # fmt: skip
 
 
-def write_both_ways_trial(
-    trial: MarkerTrial,
-    source: Path,
-    suit: WornSuit,
-    subject: str,
-    target: Path,
-    progress: Progress | None = None,
-    person: str | None = None,
-) -> SolvedTrial:
-    """Write a trial with poses that use what comes after a gap too; raises as ``write_solved_trial``."""
-    markers, trial = _called(suit, subject, trial, source, person)
-    chunks = list(trial_chunks(trial, _begun_ns(trial), LINK))
+def _solve_both_ways(task: _Task, progress: Progress | None) -> SolvedTrial:
+    """Solve with what comes after a gap too."""
+    markers, chunks = task.markers, task.chunks()
     receiver = MarkerFrames(markers)
     observed = [frame for chunk in chunks for frame in receiver.receive(chunk)]
     began = time.process_time()
-    solved, counts = solve_both_ways(suit.skeleton, markers, observed, progress)
+    solved, counts = solve_both_ways(task.suit.skeleton, markers, observed, progress)
     spent = time.process_time() - began
     fits = _Fits(len(solved), markers)
-    settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
-    attachments = attachments_of(settings, suit)
-    with _writer(target, source, trial, attachments, solved_by=BOTH_WAYS) as writer:
+    with task.writer(task.suit, BOTH_WAYS) as writer:
         for index, (chunk, frame) in enumerate(zip(chunks, solved, strict=True)):
             add_solved(writer, chunk, CARRIES, [frame])
             fits.add(index, frame.markers)
     return SolvedTrial(
-        target, len(solved), markers.labels, fits.residuals, fits.used, tuple(fits.renamed), dict(counts),
-        1e3 * spent / max(len(solved), 1),
+        task.target, len(solved), markers.labels, fits.residuals, fits.used, tuple(fits.renamed),
+        dict(counts), 1e3 * spent / max(len(solved), 1),
     )  # fmt: skip
+
+
+METHODS = {"default": _solve_live, BOTH_WAYS: _solve_both_ways, PUBLISHED: _solve_published}
+"""By the word of ``optical solve --method``."""
 
 
 def write_residual_plot(solved: SolvedTrial, rate_hz: float, path: Path) -> None:
@@ -306,15 +321,3 @@ def _origin_ns(trial: MarkerTrial) -> int:
 def _begun_ns(trial: MarkerTrial) -> int:
     """Return the gateway time of a trial's first frame."""
     return _origin_ns(trial) + round(trial.begins_s * 1e9)
-
-
-@contextlib.contextmanager
-def _writer(
-    target: Path, source: Path, trial: MarkerTrial, attachments: Mapping[str, bytes], solved_by: str = ""
-) -> Iterator[RecordingWriter]:
-    origin_ns, first_ns = _origin_ns(trial), _begun_ns(trial)
-    session = imported_session({LINK: CARRIES}, target, "optical", origin_ns, solved_by=solved_by)
-    kind = source.suffix.lstrip(".").lower()
-    with DerivedRecordingWriter(target, session, attachments, origin_ns) as writer:
-        writer.add(fmt.EVENTS, first_ns, origin_event(kind, [source], first_ns))
-        yield writer

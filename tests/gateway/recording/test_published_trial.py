@@ -18,9 +18,10 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray, Status
 from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm
+from gateway.reconstruction import BOTH_WAYS, PUBLISHED
 from gateway.reconstruction.optical import kernels
 from gateway.recording import open_recording
-from gateway.recording.optical import SolvedTrial, write_both_ways_trial, write_published_trial
+from gateway.recording.optical import SolvedTrial, write_solved_trial
 from gateway.recording.solving import verify
 from gateway.report import gather, write_report
 
@@ -67,7 +68,9 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> tuple[WornSuit, SolvedTr
     source = folder / "walk.c3d"
     source.write_bytes(b"whatever it is: only its name and sum are kept")
     suit = _subject()
-    done = write_published_trial(_trial(suit, _truth(suit)), source, suit, "anna.yaml", folder / "walk.mcap")
+    done = write_solved_trial(
+        _trial(suit, _truth(suit)), source, suit, "anna.yaml", folder / "walk.mcap", method=PUBLISHED
+    )
     return suit, done
 
 
@@ -107,7 +110,7 @@ def test_a_trial_bridged_both_ways_is_recorded_as_such(tmp_path: Path):
     suit = _subject()
     source, target = tmp_path / "walk.c3d", tmp_path / "walk.mcap"
     source.write_bytes(b"whatever it is")
-    done = write_both_ways_trial(_trial(suit, _truth(suit)), source, suit, "anna.yaml", target)
+    done = write_solved_trial(_trial(suit, _truth(suit)), source, suit, "anna.yaml", target, method=BOTH_WAYS)
     recording = open_recording(target)
     arrays = recording.skeleton_arrays()
     assert done.frames == len(arrays.time_ns) == N_FRAMES
@@ -126,7 +129,7 @@ def test_nothing_to_solve_is_one_error_and_leaves_no_file(tmp_path: Path):
     empty = MarkerTrial("walk", trial.labels, RATE_HZ, np.full_like(trial.positions, np.nan))
     target = tmp_path / "walk.mcap"
     with pytest.raises(GatewayError, match=r"no frame shows 3 of the markers of anna.yaml"):
-        write_published_trial(empty, tmp_path / "walk.c3d", suit, "anna.yaml", target)
+        write_solved_trial(empty, tmp_path / "walk.c3d", suit, "anna.yaml", target, method=PUBLISHED)
     assert not target.exists()
 
 
