@@ -11,16 +11,14 @@ import viser
 
 from gateway.contract.messages import PoseMessage
 from gateway.viewer.appearance import legend
-from gateway.viewer.history import History
 from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import clock_of
 from gateway.viewer.pose_table import attitude, bend_deg
+from gateway.viewer.series_plot import SeriesPlot
 from gateway.viewer.stage import STYLE, VIEWS, Stage
 from gateway.viewer.tab_names import rename
 from gateway.viewer.texts import ENGLISH, LANGUAGES, movement_name, segment_name, translated
 
-PLOT_SPAN_S = 10.0
-_LINE_COLOURS = ("#d1495b", "#2e7d5b", "#30638e", "#edae49", "#8d5a97", "#5c5c5c")
 _UNDEFINED = float("nan")
 _RESIDUALS = ("of_markers", "")
 
@@ -258,53 +256,3 @@ class Panel:
 
 def _on_any_page(pressed: Callable[[str], None]) -> Callable[[str, viser.ClientHandle | None], None]:
     return lambda option, _client: pressed(option)
-
-
-class SeriesPlot:
-    """A few named series over the last seconds."""
-
-    def __init__(self, server: viser.ViserServer, name: str) -> None:
-        self._server = server
-        self._title = ""
-        self._history = History((), PLOT_SPAN_S)
-        self._slot = server.gui.add_folder(name, expand_by_default=True)
-        self._chart: viser.GuiUplotHandle | None = None
-        self._is_changed = False
-
-    def name(self, name: str) -> None:
-        """Call it so from now on."""
-        self._slot.label = name
-
-    def add(self, title: str, t_ns: int, names: Sequence[str], values: Sequence[float]) -> None:
-        """Add one instant; another title or other names begin another plot."""
-        if title != self._title or tuple(names) != self._history.names:
-            self._title, self._history = title, History(names, PLOT_SPAN_S)
-            if self._chart is not None:
-                self._chart.remove()
-                self._chart = None
-        self._history.add(t_ns * 1e-9, values)
-        self._is_changed = True
-
-    def draw(self) -> None:
-        """Send the series to the pages, if there is anything new."""
-        if not self._is_changed:
-            return
-        self._is_changed = False
-        data = self._history.arrays()
-        if self._chart is not None:
-            self._chart.data = data
-            return
-        with self._slot:
-            self._chart = self._server.gui.add_uplot(
-                data,
-                (
-                    viser.uplot.Series(label="s"),
-                    *(
-                        viser.uplot.Series(label=name, stroke=colour, width=2)
-                        for name, colour in zip(self._history.names, _LINE_COLOURS, strict=False)
-                    ),
-                ),
-                title=self._title,
-                scales={"x": viser.uplot.Scale(time=False, auto=True), "y": viser.uplot.Scale(auto=True)},
-                aspect=1.6,
-            )

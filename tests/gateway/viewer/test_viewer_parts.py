@@ -36,7 +36,6 @@ from gateway.viewer.appearance import (
     silent_segments,
     status_summary,
 )
-from gateway.viewer.history import History
 from gateway.viewer.module_table import (
     RecentLosses,
     clock_of,
@@ -49,6 +48,7 @@ from gateway.viewer.module_table import (
 from gateway.viewer.pace import pictures
 from gateway.viewer.pose_table import bend_deg
 from gateway.viewer.posture import LASTS_S, LastingStatus, PostureKeeper, skeleton_of
+from gateway.viewer.series_plot import History
 from gateway.viewer.texts import translated
 from tests.simulated_time import in_simulated_time
 
