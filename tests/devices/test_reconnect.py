@@ -10,8 +10,9 @@ import pytest
 
 from devices.back_off import BackOff
 from devices.emulators.loopback_link import loopback_pair
+from devices.endpoints import link_from_url
 from devices.link import Chunk, Framing, Link, LinkBusyError, LinkError
-from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
+from devices.reconnect import LinkState, LinkStatus, ReconnectingLink, kept_open
 from devices.serial_link import SerialLink
 from devices.tcp_link import TcpLink
 from tests.patience import PATIENCE_S
@@ -262,3 +263,11 @@ async def test_server_that_goes_and_comes_back(next_chunk, until):
     await link.close()
     writers[1].close()
     server.close()
+
+
+@pytest.mark.parametrize(
+    ("url", "is_opened_again"),
+    [("/dev/null", True), ("recording:///a.mcap?speed=max", False), ("markers:///walk.c3d", False)],
+)
+def test_only_a_file_that_was_read_to_its_end_is_not_opened_again(url: str, is_opened_again: bool) -> None:
+    assert isinstance(kept_open(link_from_url(url)), ReconnectingLink) == is_opened_again

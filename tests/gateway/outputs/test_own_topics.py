@@ -48,6 +48,24 @@ class Clock:
         return self.now_s
 
 
+def test_the_broker_is_asked_now_and_then_and_no_pose_passes_by_while_it_refuses():
+    clock = Clock()
+    rights = PublishRights(are_reported=True, clock=clock)
+    assert rights.is_due
+    rights.asked()
+    assert not rights.is_due
+    assert not rights.wants_answer
+    rights.answered("mocap/lab/pose", BAD)
+    assert rights.wants_answer
+    assert not rights.is_due
+    clock.now_s += 2.0
+    assert rights.is_due
+    rights.asked()
+    rights.begin_again()  # with another connection
+    assert rights.is_due
+    assert not PublishRights(are_reported=False, clock=clock).wants_answer
+
+
 @pytest.fixture
 def watch():
     return TwinWatch(TOPICS, "own", Clock())
