@@ -1,8 +1,7 @@
-"""Skeleton frames to an MQTT broker.
+"""Skeleton frames to an MQTT broker: the connections, and what a gateway publishes beside its poses.
 
-``offer`` encodes a frame and writes it to the broker's socket, if that takes it at once. Else it goes into a
-short queue, which one task empties; that task outlives every broker: it reconnects for ever, and counts what
-had to be dropped meanwhile.
+One task outlives every broker: it connects, again for ever, announces the gateway, gives the connection to
+the poses (``PoseOutlet``), publishes health, and says goodbye.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""The way of a pose to a broker: to its socket at once, or by a short queue; what is late is kept.
+"""The way of a pose to a broker.
 
-Connections come and go: who keeps them (``gateway.outputs.mqtt``) hands each one over while it may be used.
-Every pose is counted once: published, dropped, thinned, queued or kept as late.
+``offer`` encodes a frame and writes it to the broker's socket, if that takes it at once. Else it goes into a
+short queue, which whoever keeps the connections (``gateway.outputs.mqtt``) has emptied; poses without a
+broker are kept as late, where that is asked for. Every pose is counted once: published, dropped, thinned,
+queued or late.
 """
 
 from __future__ import annotations
