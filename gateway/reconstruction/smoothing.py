@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.errors import GatewayError
 from gateway.frames import (
@@ -37,6 +38,18 @@ SMOOTHED = ("joint", "outward")
 
 Progress = Callable[[int, int], None]
 
+_READING = np.dtype(
+    [
+        ("frame", "i8"),
+        ("device", "i8"),
+        ("time_ns", "i8"),
+        ("quantity", "i8"),
+        ("value", "f8", 3),
+        ("sigma", "f8", 3),
+    ]
+)
+"""A ``LocalReading``, and the frame of its block that it belongs to."""
+
 
 @dataclass
 class _Block:
@@ -53,8 +66,7 @@ class _Block:
     sights: FloatArray  # (T, m + 1, 4) see ``stacked_sights``
     stood_s: FloatArray  # (T, n)
     step_s: FloatArray  # (T,)
-    reading_of: IntArray  # (k, 4) frame, device, time ns, quantity
-    readings: FloatArray  # (k, 2, 3) value and standard deviation
+    readings: NDArray[np.void]  # (k,) ``_READING``
     q_wb: FloatArray  # (T, n, 4)
     angular_rate: FloatArray  # (T, n, 3)
     joint_acceleration: FloatArray  # (T, n, 3)
@@ -67,10 +79,11 @@ class _Block:
     def frames(self) -> list[ImuFrame]:
         """Return what was observed, stuck modules left out."""
         local: list[list[LocalReading]] = [[] for _ in self.time_ns]
-        for (t, device, time_ns, quantity), (value, sigma) in zip(
-            self.reading_of.tolist(), self.readings, strict=True
-        ):
-            local[t].append(LocalReading(device, time_ns, Quantity(quantity), value, sigma))
+        for row in self.readings:
+            quantity = Quantity(int(row["quantity"]))
+            local[row["frame"]].append(
+                LocalReading(int(row["device"]), int(row["time_ns"]), quantity, row["value"], row["sigma"])
+            )
         nothing = np.zeros(self.observed_status.shape[1], np.int64)
         return [
             ImuFrame(
@@ -155,10 +168,9 @@ class Smoother:
             sights=stacked_sights(clean),
             stood_s=stood_s,
             step_s=prepared.dt,
-            reading_of=np.array(
-                [(t, r.device, r.time_ns, int(r.quantity)) for t, r in readings], np.int64
-            ).reshape(-1, 4),
-            readings=np.array([(r.value, r.sigma) for _, r in readings], np.float64).reshape(-1, 2, 3),
+            readings=np.array(
+                [(t, r.device, r.time_ns, r.quantity, r.value, r.sigma) for t, r in readings], _READING
+            ),
             **{name: getattr(found, name) for name in (*POSE_ARRAYS, "root")},
             covariance=covariance,
         )
