@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import socket
 
 import numpy as np
@@ -22,6 +21,7 @@ from gateway.outputs.subscriber import PoseSubscriber
 from gateway.recording.video import video_subject, video_suit
 from gateway.service.service import Service
 from gateway.settings import load_gateway_settings
+from tests.running_suit import running
 from tests.seen_walk import CAMERAS, seen_walk
 
 pytestmark = [
@@ -52,8 +52,7 @@ async def heard_of(config, send, n: int):
     settings = load_gateway_settings(config)
     service = Service(settings, load_rig(settings.rig, config))
     received = []
-    async with asyncio.timeout(200), PoseSubscriber(settings.mqtt, "lab") as poses:
-        serving = asyncio.create_task(service.run())
+    async with asyncio.timeout(200), PoseSubscriber(settings.mqtt, "lab") as poses, running(service):
         sending = asyncio.create_task(send(service))
         async for pose in poses:
             received.append(pose.pose)
@@ -61,9 +60,6 @@ async def heard_of(config, send, n: int):
                 break
         await sending
         assert unaccounted(service.balances()) == {}
-        serving.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await serving
     return service, received
 
 

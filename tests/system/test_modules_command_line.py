@@ -22,6 +22,7 @@ from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
+from tests.running_suit import running
 
 pytestmark = pytest.mark.system
 
@@ -359,23 +360,21 @@ async def test_a_running_gateway_is_asked_in_the_same_words(commanded_suit, comm
     # Suit and gateway share this event loop: at so few samples it has time for both on a busy machine, too.
     async with commanded_suit(RIG, sampling_rate_hz=25.0) as suit:
         service = Service(settings, load_rig(RIG), links=[suit.link])
-        serving = asyncio.create_task(service.run())
-        async with asyncio.timeout(PATIENCE_S):
-            while not service.requests.is_connected:
-                await asyncio.sleep(0.01)
-        modules = Typed(command, "--mqtt", f"127.0.0.1:{mosquitto.port}")
-        code, output, errors = await modules("list", "--listen", "0.5")
-        assert (code, errors) == (0, "")
-        assert suit.unique_id(3).hex() in output
-        process = modules.start("assign", "--segment", "link_2", "--yes")
-        fitter = Fitter(suit, process, {"link_2": 2})
-        assert await asyncio.wait_for(fitter.work(), PATIENCE_S) == 0
-        assert suit.ids() == {0: 0, 1: 2, 2: 1, 3: 3}
-        code, _, errors = await modules("set", "7", "label=x")
-        assert code == 1
-        assert "gateway 'lab': no device '7' answers" in errors
-        serving.cancel()
-        await asyncio.gather(serving, return_exceptions=True)
+        async with running(service):
+            async with asyncio.timeout(PATIENCE_S):
+                while not service.requests.is_connected:
+                    await asyncio.sleep(0.01)
+            modules = Typed(command, "--mqtt", f"127.0.0.1:{mosquitto.port}")
+            code, output, errors = await modules("list", "--listen", "0.5")
+            assert (code, errors) == (0, "")
+            assert suit.unique_id(3).hex() in output
+            process = modules.start("assign", "--segment", "link_2", "--yes")
+            fitter = Fitter(suit, process, {"link_2": 2})
+            assert await asyncio.wait_for(fitter.work(), PATIENCE_S) == 0
+            assert suit.ids() == {0: 0, 1: 2, 2: 1, 3: 3}
+            code, _, errors = await modules("set", "7", "label=x")
+            assert code == 1
+            assert "gateway 'lab': no device '7' answers" in errors
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from gateway.recording.solving import verify
 from gateway.recording.video import video_subject, video_suit
 from gateway.service.service import Service
 from gateway.settings import load_gateway_settings
+from tests.running_suit import running
 from tests.served_cameras import ServedCameras
 
 pytestmark = [
@@ -83,22 +83,19 @@ async def test_two_people_come_and_go(mosquitto, tmp_path):
                 place = received.pose.position["pelvis"]
                 places.setdefault(received.gateway, []).append((received.pose.seq, place))
 
-        serving = asyncio.create_task(service.run())
-        collecting = asyncio.create_task(collect())
-        await service.begun.wait()
-        await play(settings.mqtt, both)
-        assert service.people is not None
-        assert len(service.people.crowd.present) == 1, service.statistics()
-        for _ in range(50):
-            if len(poses.bodies) == 2:
-                break
-            await asyncio.sleep(0.1)
-        (there,) = service.people.crowd.present
-        assert set(poses.bodies) == {"lab", f"lab_{there}"}
-        assert unaccounted(service.balances()) == {}
-        serving.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await serving
+        async with running(service):
+            collecting = asyncio.create_task(collect())
+            await service.begun.wait()
+            await play(settings.mqtt, both)
+            assert service.people is not None
+            assert len(service.people.crowd.present) == 1, service.statistics()
+            for _ in range(50):
+                if len(poses.bodies) == 2:
+                    break
+                await asyncio.sleep(0.1)
+            (there,) = service.people.crowd.present
+            assert set(poses.bodies) == {"lab", f"lab_{there}"}
+            assert unaccounted(service.balances()) == {}
         collecting.cancel()
     assert set(places) == {"lab_1", "lab_2"}
     for truth in (a, b):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 
 import numpy as np
 import pytest
@@ -21,6 +20,7 @@ from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.service.service import Service
 from gateway.settings import load_gateway_settings
 from tests.marked_person import places_of, subject_file, y_up
+from tests.running_suit import running
 
 pytestmark = pytest.mark.system
 pytest.importorskip("qtm_rt", reason="the extra 'optical' is not installed")
@@ -58,8 +58,8 @@ async def test_what_qtm_streams_comes_out_as_poses_and_a_hang_up_is_survived(mos
     async with (
         asyncio.timeout(100),
         PoseSubscriber(settings.mqtt, "lab", with_markers=True) as poses,
+        running(service),
     ):
-        serving = asyncio.create_task(service.run())
         async for pose in poses:
             received.append(pose)
             if len(received) == 60:
@@ -70,9 +70,6 @@ async def test_what_qtm_streams_comes_out_as_poses_and_a_hang_up_is_survived(mos
                 shown = poses.markers["lab"]
         statistics = service.statistics()
         assert unaccounted(service.balances()) == {}
-        serving.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await serving
     await stand_in.stop()
     assert service.links[0].reconnections == 1
     assert statistics["links"]["cameras"]["not_sent"] >= 2
