@@ -31,6 +31,7 @@ from gateway.body.skeleton import (
 )
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Quantity
+from gateway.support.names import LOWER_NAME
 from gateway.support.settings_files import Strict, find_file, load_settings, load_yaml
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -59,7 +60,7 @@ class SegmentInterpolation(Strict):
 class BodySegment(Strict):
     """One rigid segment."""
 
-    name: str = Field(min_length=1, pattern=r"^[a-z0-9_]+$", description="ISB name in lower case")
+    name: str = Field(min_length=1, pattern=LOWER_NAME, description="ISB name in lower case")
     parent: str | None = Field(description="segment it is joined to; null for the root")
     joint: Vector = Field(default=(0, 0, 0), description="proximal joint in the parent's axes, m")
     tip: Vector = Field(description="where the segment ends, own axes, m")

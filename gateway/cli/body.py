@@ -22,7 +22,7 @@ from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import import_urdf
 from gateway.cli.options import AsJson
 from gateway.errors import GatewayError
-from gateway.support.settings_files import find_file, load_yaml, shipped_folder
+from gateway.support.settings_files import explained, find_file, load_yaml, shipped_folder
 from gateway.support.whole_files import writing
 
 body_app = typer.Typer(
@@ -168,9 +168,7 @@ def _subject(height: float | None, mass: float | None, sex: str | None, lengths:
     try:
         return Subject.model_validate({"height_m": height, "mass_kg": mass, "sex": sex, "lengths": measured})
     except ValidationError as error:
-        problem = error.errors()[0]
-        where = ".".join(map(str, problem["loc"]))
-        raise GatewayError(f"{where} is {problem['input']!r}: {problem['msg']}") from error
+        raise GatewayError(explained(error.errors()[0], Subject)) from error
 
 
 def _write(path: Path, head: str, content: dict[str, Any], force: bool) -> None:

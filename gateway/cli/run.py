@@ -184,7 +184,9 @@ class _Supervisor:
             log.error("the changed configuration cannot run, the old one goes on: %s", error)
             former, self._former = self._former, None
             others = former.others
-            self._take(Service(former.settings, former.pipeline.suit, others=others, config=self._config))
+            again = Service(former.settings, former.pipeline.suit, others=others, config=self._config)
+            again.requests.follow(service.requests)
+            self._take(again)
             return True
         if self._next is None:
             return False

@@ -116,7 +116,7 @@ def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | N
     except ValidationError as error:
         problems = error.errors()
         # One mistake, as a wrong indent, may give hundreds of problems.
-        lines = [f"{path}: {_explain(problem, model)}" for problem in problems[:_MOST_PROBLEMS]]
+        lines = [f"{path}: {explained(problem, model)}" for problem in problems[:_MOST_PROBLEMS]]
         if len(problems) > _MOST_PROBLEMS:
             lines.append(f"{path}: and {len(problems) - _MOST_PROBLEMS} more like these")
         raise SettingsError("\n".join(lines)) from error
@@ -165,7 +165,8 @@ def _changed(content: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str
     return changed
 
 
-def _explain(problem: Any, model: type[BaseModel]) -> str:
+def explained(problem: Any, model: type[BaseModel]) -> str:
+    """Return field, value and what is wanted, of one of the errors that pydantic found in a ``model``."""
     if problem["type"] == "extra_forbidden":
         *within, name = problem["loc"]
         return f"unknown setting '{_place((*within, _Key(name)))}'" + nearest(
@@ -181,15 +182,18 @@ def _explain(problem: Any, model: type[BaseModel]) -> str:
 
 def message_of(problem: Any) -> str:
     """Return what is wrong with a value and what is wanted, of one of pydantic's errors."""
-    limit = problem.get("ctx", {})
-    if "pattern" in limit and limit["pattern"] in IN_WORDS:
-        return IN_WORDS[limit["pattern"]]
+    limits = problem.get("ctx", {})
+    if "pattern" in limits:
+        return IN_WORDS.get(limits["pattern"]) or f"a text of the form {limits['pattern']} is wanted"
     kind = problem["type"].removesuffix("_type").removesuffix("_parsing")
-    return _WANTED.get(kind) or str(problem["msg"]).removeprefix("Value error, ")
+    wanted = _WANTED.get(kind)
+    return str(problem["msg"]).removeprefix("Value error, ") if wanted is None else wanted.format(**limits)
 
 
 _LIST = "a list is wanted: [one, another], or lines that begin with '- '"
 _SECTION = "a section of 'key: value' lines is wanted"
+_WHOLE = "a whole number is wanted, without a unit"
+_CHOICE = "{expected} is wanted"
 _WANTED = {
     "list": _LIST,
     "tuple": _LIST,
@@ -199,10 +203,25 @@ _WANTED = {
     "model": _SECTION,
     "model_attributes": _SECTION,
     "string": "a text is wanted",
+    "path": "a path is wanted",
     "float": "a number is wanted, without its unit",
-    "int": "a whole number is wanted, without a unit",
+    "finite_number": "a finite number is wanted",
+    "int": _WHOLE,
+    "int_from_float": _WHOLE,
+    "int_parsing_size": "that is too large a number",
     "bool": "true or false is wanted",
-    "too_short": "it has too few entries",
+    "literal_error": _CHOICE,
+    "enum": _CHOICE,
+    "greater_than": "more than {gt} is wanted",
+    "greater_than_equal": "at least {ge} is wanted",
+    "less_than": "less than {lt} is wanted",
+    "less_than_equal": "at most {le} is wanted",
+    "too_short": "it has too few entries: at least {min_length}",
+    "too_long": "it has too many entries: at most {max_length}",
+    "string_too_short": "at least {min_length} character(s) are wanted",
+    "string_too_long": "at most {max_length} characters are wanted",
+    "missing": "it is missing",
+    "extra_forbidden": "there is no such setting",
 }
 """By pydantic's kinds of errors, whose own words are of Python's types."""
 

@@ -122,8 +122,8 @@ REFUSED = [
     ("modules/lst", {}, "there is no request 'modules/lst' (did you mean 'list'?)"),
     ("module/list", {}, "there is no request 'module/list' (did you mean 'modules'?)"),
     ("modules", {}, "there is no request 'modules/' (known: assign, backup"),
-    ("modules/identify", {}, "modules/identify: 'device' field required"),
-    ("modules/identify", {"device": "0", "secs": 3}, "'secs' extra inputs are not permitted"),
+    ("modules/identify", {}, "modules/identify: 'device' is missing"),
+    ("modules/identify", {"device": "0", "secs": 3}, "unknown setting 'secs'"),
     ("modules/list", b"{not json", "a request is a JSON object"),
     ("modules/list", b"[1, 2]", "a request is a JSON object"),
     ("modules/list", b"\xff" * (LARGEST_REQUEST + 1), "at most 65536 are taken"),
@@ -131,7 +131,11 @@ REFUSED = [
     ("modules/identify", {"device": "17"}, "no device '17' answers; there are: 0 ("),
     ("modules/set", {"device": "0", "settings": {"label": "x"}}, "'allow_device_writes: true'"),
     ("modules/assign", {"ids": {"00" * 12: 1}}, "'allow_device_writes: true'"),
-    ("modules/assign", {"ids": {"3": 1}}, "'3' is no unique id: 24 hexadecimal digits (0-9, a-f)"),
+    (
+        "modules/assign",
+        {"ids": {"3": 1}},
+        "'ids.3' is '3': this is no unique id: 24 hexadecimal digits (0-9, a-f)",
+    ),
     ("modules/undo", {}, "there is no change to undo"),
 ]
 
