@@ -31,27 +31,16 @@ config_app = typer.Typer(
 
 @config_app.command(epilog="Example: mocap-gateway config check config/gateway.yaml")
 def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configuration file.")) -> None:
-    """Check a configuration, and the rig, the body and the clock table it names. Opens no port."""
-    from devices.endpoints import EndpointError
+    """Check a configuration, and every file and folder that it names. Opens no port."""
     from gateway.body.rig import load_rig
-    from gateway.cameras.broker_link import link_of
-    from gateway.clocks import load_clock_table
+    from gateway.doctor.named_files import trouble_with_files
     from gateway.reconstruction.inertial.articulated import unobserved_headings
 
     settings = load_gateway_settings(file)
     suit = load_rig(settings.rig, file)
     fitting_suit(settings, suit)
-    # Made, not opened: an address that makes no sense is found without any hardware.
-    for link in settings.links:
-        try:
-            link_of(link, settings.mqtt, lambda: settings.mqtt.port)
-        except EndpointError as error:
-            raise SettingsError(f"{file}: {error}") from None
-    if settings.clock.table is not None:
-        try:
-            load_clock_table(Path(settings.clock.table))
-        except SettingsError as error:
-            raise SettingsError(f"{file}: 'clock.table': {error}") from None
+    if trouble := list(trouble_with_files(settings, suit, file)):
+        raise SettingsError("\n".join(f"{file}: {line.removeprefix(f'{file}: ')}" for line in trouble))
     Console().print(
         f"[green]{escape(str(file))} is good[/green]: gateway '{settings.gateway}', {len(settings.links)} "
         f"link(s), {_worn(suit)} on body '{escape(suit.skeleton.name)}', "
