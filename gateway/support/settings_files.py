@@ -77,7 +77,12 @@ def load_yaml(path: Path) -> Any:
     except UnicodeDecodeError as error:
         raise SettingsError(f"{path}: is no text in UTF-8 (byte {error.start}): save it as UTF-8") from error
     except OSError as error:
-        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
+        what = (
+            "is a folder: name the file in it"
+            if path.is_dir()
+            else f"cannot be read: {error.strerror or error}"
+        )
+        raise SettingsError(f"{path}: {what}") from error
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}, column {mark.column + 1}" if mark else ""
@@ -86,7 +91,7 @@ def load_yaml(path: Path) -> Any:
             problem = f"is no text: character {error.position + 1} of it is a control character"
         if r"'\t'" in problem:
             problem = "a tab where spaces are wanted: indent with spaces"
-        raise SettingsError(f"{path}:{where} {problem}") from error
+        raise SettingsError(f"{path}:{where} {problem}: 'key: value' lines (YAML) are wanted") from error
 
 
 def _text_of(path: Path) -> str:
@@ -106,8 +111,14 @@ def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | N
     if content is None:
         raise SettingsError(f"{path}: is empty: 'key: value' lines are wanted")
     if not isinstance(content, dict):
+        raise SettingsError(f"{path}: is another file: {_wanted_of(model)}")
+    required = [name for name, field in model.model_fields.items() if field.is_required()]
+    unknown = [str(key) for key in content if key not in _known_keys(model, ())]
+    if len(unknown) > len(content) / 2 and required and not content.keys() & set(required):
+        shown = ", ".join(f"'{_shortened(key, 40)}'" for key in unknown[:3])
         raise SettingsError(
-            f"{path}: holds {type(content).__name__}, not named settings ('key: value' lines)"
+            f"{path}: is another file, or all is misspelt: {_wanted_of(model)}; it has {shown}"
+            + (" …" if len(unknown) > 3 else "")
         )
     if changes:
         content = _changed(content, changes)
@@ -125,6 +136,13 @@ def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | N
         lines = [f"{path}: '{place}' is a truth value where a number is wanted" for place in truths]
         raise SettingsError("\n".join(lines[:_MOST_PROBLEMS]))
     return settings
+
+
+def _wanted_of(model: type[BaseModel]) -> str:
+    """Return which settings are wanted in a file, those first without which it is none."""
+    by_need = sorted(model.model_fields.items(), key=lambda field: not field[1].is_required())
+    names = [field.alias or name for name, field in by_need]
+    return f"'key: value' lines for {', '.join(names[:6])} … are wanted"
 
 
 def _numbers_from_truths(
