@@ -22,7 +22,7 @@ from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import import_urdf
 from gateway.cli.options import AsJson
 from gateway.errors import GatewayError
-from gateway.support.settings_files import explained, find_file, load_yaml, shipped_folder
+from gateway.support.settings_files import explained, find_file, load_yaml, read_text, shipped_folder
 from gateway.support.whole_files import writing
 
 body_app = typer.Typer(
@@ -146,11 +146,7 @@ def import_robot(
     force: Force = False,
 ) -> None:
     """Make a body file of a robot's URDF: links with what is fixed to them, joints, axes and limits."""
-    try:
-        text = urdf.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise GatewayError(f"{urdf} cannot be read: {error}") from error
-    robot = import_urdf(text, str(urdf), has_fixed_base=not floating)
+    robot = import_urdf(read_text(urdf), str(urdf), has_fixed_base=not floating)
     _write(output, f"# Imported from {urdf.name}.\n", robot.content, force)
     for note in robot.notes:
         typer.echo(f"note: {note}", err=True)

@@ -17,7 +17,7 @@ from firmware_protocol import MAX_MODULE, RELAY
 from firmware_protocol.dbc import ALL_SENSORS, render
 from gateway.errors import GatewayError, SettingsError, nearest
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
-from gateway.support.whole_files import write_whole
+from gateway.support.whole_files import write_whole, writing
 
 if TYPE_CHECKING:
     from gateway.body.skeleton import WornSuit
@@ -110,10 +110,8 @@ def key(file: Path = typer.Argument(help="New file for the key; one that is ther
 
     Its line, 64 hexadecimal digits, is what the modules of that link are given.
     """
-    try:
+    with writing(file):
         write_key(file)
-    except OSError as error:
-        raise GatewayError(f"cannot make {file}: {error.strerror}") from None
     Console().print(
         f"[green]{escape(str(file))} holds a new key[/green]: give it to the modules, and write in the "
         f"configuration [bold]url: udp://…?key_file={escape(str(file.absolute()))}[/bold] (or tcp://…)",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import ssl
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -20,7 +19,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.cameras.broker_link import link_of
 from gateway.clocks import load_clock_table
 from gateway.errors import GatewayError
-from gateway.outputs.settings import TlsSettings
+from gateway.outputs.connection import check_files
 from gateway.service.further_bodies import further_bodies
 from gateway.settings import GatewaySettings
 from gateway.sources.link_settings import LinkSettings
@@ -50,8 +49,7 @@ def trouble_with_files(settings: GatewaySettings, suit: WornSuit, config: Path) 
 
 def _wrong_content(settings: GatewaySettings, suit: WornSuit) -> Iterator[str]:
     mqtt, robot = settings.mqtt, settings.outputs.retarget
-    if mqtt.tls is not None:
-        yield from _wrong_certificates(mqtt.tls)
+    yield from _complaint(partial(check_files, mqtt), "'mqtt': ")
     if mqtt.broker == "embedded":
         yield from _complaint(mqtt.read_websocket_token, "'mqtt.websocket_token_file': ")
     if settings.metrics.port is not None:
@@ -59,24 +57,6 @@ def _wrong_content(settings: GatewaySettings, suit: WornSuit) -> Iterator[str]:
     if robot is not None:
         yield from _complaint(
             lambda: load_robot(robot.robot, suit.skeleton, robot.urdf), "'outputs.retarget': "
-        )
-
-
-def _wrong_certificates(tls: TlsSettings) -> Iterator[str]:
-    context = ssl.create_default_context()
-    try:
-        if tls.ca_file is not None:
-            context.load_verify_locations(tls.ca_file)
-    except ssl.SSLError:
-        yield f"'mqtt.tls.ca_file' is {tls.ca_file}: holds no certificate in PEM (BEGIN CERTIFICATE)"
-    try:
-        if tls.certificate is not None:
-            # A key that asks for a password would have it asked for on the terminal.
-            context.load_cert_chain(tls.certificate, tls.key, password="")
-    except (ssl.SSLError, ValueError):
-        yield (
-            f"'mqtt.tls.certificate' is {tls.certificate}: with key {tls.key} it is no certificate and its"
-            " key in PEM, without a password: name the two files that were made together"
         )
 
 

@@ -80,13 +80,10 @@ async def remote_suit(
     """Connect to a broker of a gateway; without a name to that of the only one that is online.
 
     family: first part of the verbs that will be asked for.
-    Raises ``BrokerUnreachableError``, and ``RequestError`` when there is none or more than one, or the name
-    cannot stand in a topic.
+    Raises ``BrokerUnreachableError``, ``RequestError`` when there is none or more than one, and
+    ``TopicError`` where the name cannot stand in a topic.
     """
-    try:
-        answers = Topics(settings.base_topic, gateway).response(f"{family}/+")
-    except ValueError as error:
-        raise RequestError(str(error)) from None
+    answers = Topics(settings.base_topic, gateway).response(f"{family}/+")
     # Subscribed before anything is asked: an answer without a subscriber is lost.
     async with any_connection(settings, family, [answers]) as (client, door):
         if gateway == ANY_GATEWAY:

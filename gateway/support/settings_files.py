@@ -70,19 +70,9 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
 def load_yaml(path: Path) -> Any:
     """Return the content of a YAML file. Raises ``SettingsError`` with file and line when it cannot be
     read."""
+    text = read_text(path)
     try:
-        return current(yaml_text.load(_text_of(path)))
-    except FileNotFoundError:
-        raise SettingsError(f"{path}: no such file") from None
-    except UnicodeDecodeError as error:
-        raise SettingsError(f"{path}: is no text in UTF-8 (byte {error.start}): save it as UTF-8") from error
-    except OSError as error:
-        what = (
-            "is a folder: name the file in it"
-            if path.is_dir()
-            else f"cannot be read: {error.strerror or error}"
-        )
-        raise SettingsError(f"{path}: {what}") from error
+        return current(yaml_text.load(text))
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}, column {mark.column + 1}" if mark else ""
@@ -94,12 +84,23 @@ def load_yaml(path: Path) -> Any:
         raise SettingsError(f"{path}:{where} {problem}: 'key: value' lines (YAML) are wanted") from error
 
 
-def _text_of(path: Path) -> str:
-    with path.open("rb") as file:
-        data = file.read(yaml_text.LARGEST_TEXT + 1)
-    if len(data) > yaml_text.LARGEST_TEXT:
-        raise SettingsError(f"{path}: is larger than {yaml_text.LARGEST_TEXT >> 20} MiB: it is another file")
-    return data.decode("utf-8")
+def read_text(path: Path) -> str:
+    """Return the text of a file. Raises ``SettingsError`` with what to do when it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(yaml_text.LARGEST_TEXT + 1)
+        if len(data) > yaml_text.LARGEST_TEXT:
+            most = f"{yaml_text.LARGEST_TEXT >> 20} MiB"
+            raise SettingsError(f"{path}: is larger than {most}: it is another file")
+        return data.decode("utf-8")
+    except FileNotFoundError:
+        raise SettingsError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise SettingsError(f"{path}: is a folder: name the file in it") from None
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{path}: is no text in UTF-8 (byte {error.start}): save it as UTF-8") from error
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | None = None) -> Model:
@@ -200,12 +201,17 @@ def explained(problem: Any, model: type[BaseModel]) -> str:
 
 def message_of(problem: Any) -> str:
     """Return what is wrong with a value and what is wanted, of one of pydantic's errors."""
-    limits = problem.get("ctx", {})
+    limits = {name: _plain_number(limit) for name, limit in problem.get("ctx", {}).items()}
     if "pattern" in limits:
-        return IN_WORDS.get(limits["pattern"]) or f"a text of the form {limits['pattern']} is wanted"
+        return IN_WORDS.get(str(limits["pattern"])) or f"a text of the form {limits['pattern']} is wanted"
     kind = problem["type"].removesuffix("_type").removesuffix("_parsing")
     wanted = _WANTED.get(kind)
     return str(problem["msg"]).removeprefix("Value error, ") if wanted is None else wanted.format(**limits)
+
+
+def _plain_number(limit: object) -> object:
+    """Return a whole number without the decimals that it has as a limit of other numbers."""
+    return int(limit) if isinstance(limit, float) and limit.is_integer() else limit
 
 
 _LIST = "a list is wanted: [one, another], or lines that begin with '- '"
