@@ -142,8 +142,8 @@ _BAD_CREDENTIALS = 134
 _NOT_AUTHORISED = 135
 
 _CANCEL_AGAIN_S = 0.5
-_NUMBER = re.compile(r"\[Errno -?\d+\] ")
-"""Before what the system says of an error."""
+_NUMBER = re.compile(r"\[(Errno -?\d+|code:\d+)\] ")
+"""Before what the system, or the client, says of an error."""
 
 
 def broker_back_off() -> BackOff:
@@ -201,7 +201,7 @@ def explain(error: BaseException, settings: MqttSettings, port: int) -> str:
         return str(error)
     if isinstance(error, MqttConnectError):
         return _explain_refusal(error.rc, settings, where)
-    reason = _NUMBER.sub("", str(error))
+    reason = _NUMBER.sub("", str(error)).replace("Unspecified error", "it hung up")
     if "SSL" in reason:
         return f"no TLS connection to the broker at {where} ({reason}): check tls.ca_file and the host name"
     if "timed out" in reason:
