@@ -138,9 +138,11 @@ class _Supervisor:
         name = self._to_compile
         if name is None:
             return
+        # Walking is compiled, too, so that the stand-in may be the method itself.
+        serves = "" if name == readiness.FALLBACK else f"'{readiness.FALLBACK}' makes the poses, and "
         log.warning(
-            "compiling the method '%s', once after an installation, up to a minute; until then '%s' makes "
-            "the poses, and the body stays in its place", name, readiness.FALLBACK,
+            "compiling the method '%s', once after an installation, up to a minute; until then %sthe body "
+            "stays in its place", name, serves,
         )  # fmt: skip
         process = await asyncio.create_subprocess_exec(*readiness.command(name))
         try:
