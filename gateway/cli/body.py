@@ -22,7 +22,14 @@ from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import import_urdf
 from gateway.cli.options import AsJson
 from gateway.errors import GatewayError
-from gateway.support.settings_files import explained, find_file, load_yaml, read_text, shipped_folder
+from gateway.support.settings_files import (
+    as_shown,
+    find_file,
+    load_yaml,
+    message_of,
+    read_text,
+    shipped_folder,
+)
 from gateway.support.whole_files import writing
 
 body_app = typer.Typer(
@@ -154,6 +161,15 @@ def import_robot(
     Console().print(_tree(skeleton, None), _joint_table(skeleton))
 
 
+_OPTIONS: dict[str | int, str] = {
+    "height_m": "--height (m)",
+    "mass_kg": "--mass (kg)",
+    "sex": "--sex",
+    "lengths": "--length (m)",
+}
+"""What sets each field of a subject."""
+
+
 def _subject(height: float | None, mass: float | None, sex: str | None, lengths: list[str] | None) -> Subject:
     measured: dict[str, str] = {}
     for text in lengths or ():
@@ -164,7 +180,9 @@ def _subject(height: float | None, mass: float | None, sex: str | None, lengths:
     try:
         return Subject.model_validate({"height_m": height, "mass_kg": mass, "sex": sex, "lengths": measured})
     except ValidationError as error:
-        raise GatewayError(explained(error.errors()[0], Subject)) from error
+        problem = error.errors()[0]
+        option = _OPTIONS[problem["loc"][0]]
+        raise GatewayError(f"{option} {as_shown(problem['input'])}: {message_of(problem)}") from error
 
 
 def _write(path: Path, head: str, content: dict[str, Any], force: bool) -> None:

@@ -43,6 +43,8 @@ def test_a_folder_in_the_place_of_a_file_to_write_is_said_so(tmp_path):
         ("health --host no/such --timeout 1", "no gateway answers at"),
         ("health --host a\x01b", "no gateway answers at"),
         ("video solve --cameras none.yaml left=", "names no film: write FILE or CAMERA=FILE"),
+        ("body show human_17 --height 182", "--height (m) 182.0: less than 2.6 is wanted"),
+        ("body show human_17 --length thigh=long", "--length (m) 'long': a number is wanted"),
         ("body import-urdf /tmp -o out.yaml", "/tmp: is a folder: name the file in it"),
     ],
 )
