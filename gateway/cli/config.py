@@ -15,6 +15,7 @@ from rich.markup import escape
 from devices.signed_link import write_key
 from firmware_protocol import MAX_MODULE, RELAY
 from firmware_protocol.dbc import ALL_SENSORS, render
+from gateway.cli.options import ReplaceFiles, refuse_existing
 from gateway.errors import GatewayError, SettingsError, nearest
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
 from gateway.support.whole_files import write_whole, writing
@@ -126,8 +127,10 @@ def dbc(
         list(ALL_SENSORS), help="What samples hold on classic CAN; to be repeated. Default: all three."
     ),
     output: Path = typer.Option(..., "--output", "-o", help="File to write."),
+    force: ReplaceFiles = False,
 ) -> None:
     """Describe the CAN messages of a suit to bus monitors, as a DBC file. It needs no suit."""
+    refuse_existing(output, force)
     for name in sensor:
         if name not in ALL_SENSORS:
             raise GatewayError(f"--sensor {name}: no such sensor{nearest(name, ALL_SENSORS)}")
