@@ -41,7 +41,10 @@ def trouble_with_files(settings: GatewaySettings, suit: WornSuit, config: Path) 
     yield from _complaint(lambda: further_bodies(settings, config))
     if settings.clock.table is not None:
         table = Path(settings.clock.table)
-        yield from _complaint(lambda: load_clock_table(table), "'clock.table': ")
+        if (reason := _unreadable_file(table)) is not None:
+            yield f"'clock.table' is {table}: {reason}"
+        else:
+            yield from _complaint(lambda: load_clock_table(table))
     # What a file holds says nothing more where one of them is not there.
     if not missing:
         yield from _wrong_content(settings, suit)

@@ -398,7 +398,7 @@ def _tls_parameters(tls: TlsSettings) -> aiomqtt.TLSParameters:
     for name, path in files.items():
         if path is not None and not os.access(path, os.R_OK):
             raise CredentialError(
-                f"cannot read tls.{name} {path}: no such file, or not readable for this user"
+                f"cannot read tls.{name} {path} (no such file, or not readable for this user): name another"
             )
     ca_file, certificate, key = (None if path is None else str(path) for path in files.values())
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)

@@ -6,6 +6,8 @@ import pytest
 import yaml
 
 from gateway.body.rig import load_rig
+from gateway.doctor.examination import examine_file
+from gateway.doctor.findings import Verdict
 from gateway.doctor.named_files import trouble_with_files
 from gateway.errors import SettingsError
 from gateway.settings import load_gateway_settings
@@ -35,6 +37,7 @@ def of_file(path):
         "'mqtt.tls.ca_file'": {"mqtt": {"tls": {"ca_file": path}}},
         "'mqtt.tls.certificate'": {"mqtt": {"tls": {"certificate": path, "key": path}}},
         "'metrics.token_file'": {"metrics": {"port": 9464, "token_file": path}},
+        "'clock.table'": {"clock": {"mode": "table", "table": path}},
         "'outputs.opensim.model'": {"outputs": {"opensim": {"model": path}}},
         "'outputs.retarget.urdf'": {"outputs": {"retarget": {"robot": "icub", "urdf": path}}},
         "link 'suit': url": {"links": [{"name": "suit", "url": f"{path}.mcap"}]},
@@ -82,6 +85,16 @@ def test_a_folder_for_recordings_is_one_that_can_be_written(trouble, tmp_path):
 def test_all_that_is_wrong_is_told_at_once(trouble):
     wrong = {"recording": {"folder": "/proc/x"}, "clock": {"mode": "table", "table": "absent"}}
     assert len(trouble(**wrong, metrics={"port": 9464, "token_file": "absent"})) == 3
+
+
+def test_the_doctor_names_the_files_too(tmp_path):
+    config = tmp_path / "gateway.yaml"
+    wrong = {"metrics": {"port": 9464, "token_file": str(tmp_path / "absent")}}
+    config.write_text(yaml.safe_dump(PLAIN | wrong | {"mqtt": {"broker": "embedded"}}))
+    (found,) = [each for each in examine_file(config, None, 0) if each.subject == "files"]
+    assert found.verdict is Verdict.BAD
+    assert found.found.startswith(f"'metrics.token_file' is {tmp_path}/absent: no such file")
+    assert found.remedy == "correct the path, or make the file"
 
 
 def test_nothing_is_found_of_a_good_configuration(trouble):
