@@ -275,6 +275,21 @@ async def test_a_retained_request_is_not_carried_out(served):
     assert answered == ["gateway/info"]
 
 
+async def test_a_gateway_that_is_not_online_is_told_at_once(served, mosquitto):
+    """Not after the longest time that an answer may take."""
+    async with served() as (_, _, mqtt):
+        async with remote_suit(mqtt, "lab") as remote:
+            assert (await remote.perform("list", {"listen_s": 0.5}))["modules"]
+        with pytest.raises(
+            RequestError, match=r"gateway 'labb' is not online at .*: online are lab: name one"
+        ):
+            async with remote_suit(mqtt, "labb"):
+                pass
+    with pytest.raises(RequestError, match=r"gateway 'lab' is not online at .*: none is online"):
+        async with remote_suit(mqtt, "lab"):
+            pass
+
+
 async def test_the_gateway_of_a_broker_is_found_and_asked(served, mosquitto):
     with pytest.raises(RequestError, match="none is online"):
         async with remote_suit(MqttSettings(port=mosquitto.port)):
