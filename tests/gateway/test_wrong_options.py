@@ -31,7 +31,7 @@ def test_a_wrong_value_is_named_with_its_option_and_what_is_wanted(words, told, 
 
 
 def test_a_folder_in_the_place_of_a_file_to_write_is_said_so(tmp_path):
-    shown = CliRunner().invoke(app, ["config", "dbc", "--output", str(tmp_path)])
+    shown = CliRunner().invoke(app, ["config", "dbc", "--force", "--output", str(tmp_path)])
     assert isinstance(shown.exception, OSError)
     assert "name a file in it" in str(remedy_of(shown.exception))
 
