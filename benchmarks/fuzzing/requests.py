@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,7 +18,6 @@ from gateway.contract.messages import BridgeInfo
 from gateway.contract.request_messages import ResponseMessage
 from gateway.contract.requests import CALIBRATION_REQUESTS, MODULE_REQUESTS, RESET_REQUESTS
 from gateway.errors import GatewayError
-from gateway.outputs.connection import Allowance
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.requests import RequestResponder
 from gateway.outputs.settings import MqttSettings
@@ -68,8 +66,8 @@ class _Gateway:
         }
         self.client = _Client()
         self.responder = RequestResponder(MqttSettings(), _GATEWAY, families)
-        self.responder._client = self.client  # type: ignore[assignment]
-        self.responder._allowance = Allowance(math.inf, 1 << 62)  # every input is to be answered
+        self.responder._line.client = self.client  # type: ignore[assignment]
+        self.responder._line._connected.set()
 
 
 def _validating(requests: Mapping[str, type[BaseModel]]) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,6 +57,13 @@ class Sheet:
                 f"{self.path}, line {len(self.preamble) + 1}: no column '{absent[0]}'; "
                 f"there are {', '.join(self.names)}"
             )
+        twice = [name for name in wanted if self.names.count(name) > 1]
+        if twice:
+            raise FormatError(
+                f"{self.path}, line {len(self.preamble) + 1}: column '{twice[0]}' is there twice: give each "
+                "a name of its own"
+            )
+        self._refuse_comma_decimals()
         at = [self.names.index(name) for name in wanted]
         if not self.rows:
             raise FormatError(f"{self.path} has no row of numbers below line {len(self.preamble) + 1}")
@@ -69,6 +77,22 @@ class Sheet:
         if not len(table):
             raise FormatError(f"{self.path} has no row of numbers below line {len(self.preamble) + 1}")
         return table
+
+    def _refuse_comma_decimals(self) -> None:
+        """Raise ``FormatError`` where commas part cells and decimals alike, which shifts all columns."""
+        if self.delimiter != "," or not self.rows:
+            return
+        n_cells = len(self._cells(self.rows[0].rstrip(", ")))
+        if n_cells > len(self.names):
+            raise FormatError(
+                f"{self.path}, line {self.first_line}: has {n_cells} cells for {len(self.names)} columns: "
+                "where decimals are written with commas, let semicolons or tabs part the cells"
+            )
+
+    def _cells(self, line: str) -> list[str]:
+        if '"' not in line:
+            return line.split(self.delimiter)
+        return next(csv.reader([line], delimiter=self.delimiter), [])
 
     def first_cell(self, name: str) -> str:
         """Return the text of a column in the first row; empty: it is not there."""
@@ -96,7 +120,7 @@ class Sheet:
         return np.array(table, dtype=np.float64).reshape(-1, len(at))
 
     def _row(self, line: str, at: list[int], number: int) -> list[float]:
-        cells = line.split(self.delimiter)
+        cells = self._cells(line)
         if len(cells) <= max(at):
             raise FormatError(
                 f"{self.path}, line {number}: ends after {len(cells)} of {len(self.names)} columns, "

@@ -14,6 +14,7 @@ from gateway.body.joint_file import JointEntry, joints_of
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Interpolation, Skeleton, WornSuit, field_vector
 from gateway.errors import SettingsError, nearest
+from gateway.support.names import LOWER_NAME
 from gateway.support.settings_files import Strict, find_file, load_settings
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -31,7 +32,7 @@ class SegmentInterpolation(Strict):
 class BodySegment(Strict):
     """One rigid segment."""
 
-    name: str = Field(min_length=1, pattern=r"^[a-z0-9_]+$", description="ISB name in lower case")
+    name: str = Field(min_length=1, pattern=LOWER_NAME, description="ISB name in lower case")
     parent: str | None = Field(description="segment it is joined to; null for the root")
     joint: Vector = Field(default=(0, 0, 0), description="proximal joint in the parent's axes, m")
     tip: Vector = Field(description="where the segment ends, own axes, m")

@@ -13,11 +13,12 @@ from pydantic import Field, field_validator, model_validator
 from gateway.body.joints import WORLD, Angle, Decomposition, Joint
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Vector3
+from gateway.support.names import LOWER_NAME
 from gateway.support.settings_files import Strict
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 AxisName = Literal["x", "y", "z", "-x", "-y", "-z"]
-Name = Annotated[str, Field(min_length=1, pattern=r"^[a-z0-9_]+$")]
+Name = Annotated[str, Field(min_length=1, pattern=LOWER_NAME)]
 
 WORLD_NAME = "world"
 _ROTATIONS = 3

@@ -14,7 +14,7 @@ from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import UrdfJoint, UrdfTree, read_urdf
 from gateway.errors import SettingsError, nearest
 from gateway.frames import FloatArray
-from gateway.support.settings_files import Strict, find_file, load_settings
+from gateway.support.settings_files import Strict, find_file, load_settings, read_text
 
 _FORWARD = {
     "x": np.eye(3),
@@ -117,11 +117,7 @@ def load_robot(name: str, skeleton: Skeleton, urdf: Path | None = None) -> Robot
             f"{path}: 'urdf' is missing, and outputs.retarget.urdf too: name the robot's URDF"
         )
     source = urdf if urdf is not None else path.parent / str(file.urdf)
-    try:
-        text = source.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{source}: the robot's URDF cannot be read: {error}") from error
-    return robot_of(read_urdf(text, str(source)), file, skeleton, str(path))
+    return robot_of(read_urdf(read_text(source), str(source)), file, skeleton, str(path))
 
 
 def robot_of(tree: UrdfTree, file: RobotFile, skeleton: Skeleton, where: str) -> Robot:

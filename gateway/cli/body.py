@@ -22,7 +22,14 @@ from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import import_urdf
 from gateway.cli.options import AsJson
 from gateway.errors import GatewayError
-from gateway.support.settings_files import find_file, load_yaml, shipped_folder
+from gateway.support.settings_files import (
+    as_shown,
+    find_file,
+    load_yaml,
+    message_of,
+    read_text,
+    shipped_folder,
+)
 from gateway.support.whole_files import writing
 
 body_app = typer.Typer(
@@ -146,16 +153,21 @@ def import_robot(
     force: Force = False,
 ) -> None:
     """Make a body file of a robot's URDF: links with what is fixed to them, joints, axes and limits."""
-    try:
-        text = urdf.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise GatewayError(f"{urdf} cannot be read: {error}") from error
-    robot = import_urdf(text, str(urdf), has_fixed_base=not floating)
+    robot = import_urdf(read_text(urdf), str(urdf), has_fixed_base=not floating)
     _write(output, f"# Imported from {urdf.name}.\n", robot.content, force)
     for note in robot.notes:
         typer.echo(f"note: {note}", err=True)
     skeleton = load_body(str(output))
     Console().print(_tree(skeleton, None), _joint_table(skeleton))
+
+
+_OPTIONS: dict[str | int, str] = {
+    "height_m": "--height (m)",
+    "mass_kg": "--mass (kg)",
+    "sex": "--sex",
+    "lengths": "--length (m)",
+}
+"""What sets each field of a subject."""
 
 
 def _subject(height: float | None, mass: float | None, sex: str | None, lengths: list[str] | None) -> Subject:
@@ -169,8 +181,8 @@ def _subject(height: float | None, mass: float | None, sex: str | None, lengths:
         return Subject.model_validate({"height_m": height, "mass_kg": mass, "sex": sex, "lengths": measured})
     except ValidationError as error:
         problem = error.errors()[0]
-        where = ".".join(map(str, problem["loc"]))
-        raise GatewayError(f"{where} is {problem['input']!r}: {problem['msg']}") from error
+        option = _OPTIONS[problem["loc"][0]]
+        raise GatewayError(f"{option} {as_shown(problem['input'])}: {message_of(problem)}") from error
 
 
 def _write(path: Path, head: str, content: dict[str, Any], force: bool) -> None:

@@ -15,9 +15,10 @@ from rich.markup import escape
 from devices.signed_link import write_key
 from firmware_protocol import MAX_MODULE, RELAY
 from firmware_protocol.dbc import ALL_SENSORS, render
+from gateway.cli.options import ReplaceFiles, refuse_existing
 from gateway.errors import GatewayError, SettingsError, nearest
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
-from gateway.support.whole_files import write_whole
+from gateway.support.whole_files import write_whole, writing
 
 if TYPE_CHECKING:
     from gateway.body.skeleton import WornSuit
@@ -31,27 +32,16 @@ config_app = typer.Typer(
 
 @config_app.command(epilog="Example: mocap-gateway config check config/gateway.yaml")
 def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configuration file.")) -> None:
-    """Check a configuration, and the rig, the body and the clock table it names. Opens no port."""
-    from devices.endpoints import EndpointError
+    """Check a configuration, and every file and folder that it names. Opens no port."""
     from gateway.body.rig import load_rig
-    from gateway.cameras.broker_link import link_of
-    from gateway.clocks import load_clock_table
+    from gateway.doctor.named_files import trouble_with_files
     from gateway.reconstruction.inertial.articulated import unobserved_headings
 
     settings = load_gateway_settings(file)
     suit = load_rig(settings.rig, file)
     fitting_suit(settings, suit)
-    # Made, not opened: an address that makes no sense is found without any hardware.
-    for link in settings.links:
-        try:
-            link_of(link, settings.mqtt, lambda: settings.mqtt.port)
-        except EndpointError as error:
-            raise SettingsError(f"{file}: {error}") from None
-    if settings.clock.table is not None:
-        try:
-            load_clock_table(Path(settings.clock.table))
-        except SettingsError as error:
-            raise SettingsError(f"{file}: 'clock.table': {error}") from None
+    if trouble := list(trouble_with_files(settings, suit, file)):
+        raise SettingsError("\n".join(f"{file}: {line.removeprefix(f'{file}: ')}" for line in trouble))
     Console().print(
         f"[green]{escape(str(file))} is good[/green]: gateway '{settings.gateway}', {len(settings.links)} "
         f"link(s), {_worn(suit)} on body '{escape(suit.skeleton.name)}', "
@@ -121,10 +111,8 @@ def key(file: Path = typer.Argument(help="New file for the key; one that is ther
 
     Its line, 64 hexadecimal digits, is what the modules of that link are given.
     """
-    try:
+    with writing(file):
         write_key(file)
-    except OSError as error:
-        raise GatewayError(f"cannot make {file}: {error.strerror}") from None
     Console().print(
         f"[green]{escape(str(file))} holds a new key[/green]: give it to the modules, and write in the "
         f"configuration [bold]url: udp://…?key_file={escape(str(file.absolute()))}[/bold] (or tcp://…)",
@@ -139,8 +127,10 @@ def dbc(
         list(ALL_SENSORS), help="What samples hold on classic CAN; to be repeated. Default: all three."
     ),
     output: Path = typer.Option(..., "--output", "-o", help="File to write."),
+    force: ReplaceFiles = False,
 ) -> None:
     """Describe the CAN messages of a suit to bus monitors, as a DBC file. It needs no suit."""
+    refuse_existing(output, force)
     for name in sensor:
         if name not in ALL_SENSORS:
             raise GatewayError(f"--sensor {name}: no such sensor{nearest(name, ALL_SENSORS)}")

@@ -182,9 +182,12 @@ class Emulation:
         tuple[int, int] | None, typer.Option(help="These two modules have changed places.", metavar="ID ID")
     ] = None
     facing: Annotated[
-        float, typer.Option(help="Heading of the wearer who calibrates, degrees anticlockwise from east.")
+        float,
+        typer.Option(
+            min=-360, max=360, help="Heading of the wearer who calibrates, degrees anticlockwise from east."
+        ),
     ] = 0.0
-    seed: Annotated[int, typer.Option(help="Of the motion and of everything random.")] = 1
+    seed: Annotated[int, typer.Option(min=0, help="Of the motion and of everything random.")] = 1
     seconds: Annotated[float | None, typer.Option(min=0.1, help="End after so long.")] = None
     as_json: Annotated[bool, typer.Option("--json", help="Say where and since when as JSON.")] = False
 

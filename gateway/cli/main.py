@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import typer
 
@@ -144,6 +144,29 @@ class _Commands(LazyGroup):
             "Check a configuration file, show what may stand in one, make a key, describe a suit's CAN bus.",
         ),
     }
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command. What is wrong with an option is said in our words, not in those of types."""
+        try:
+            return super().invoke(ctx)
+        except Exception as error:
+            _put_into_words(error)
+            raise
+
+
+def _put_into_words(error: Exception) -> None:
+    """Change the message of an option whose value is wrong, where typer took that from pydantic."""
+    if not hasattr(error, "message"):
+        return
+    from pydantic import ValidationError
+
+    from gateway.support.settings_files import as_shown, message_of
+
+    if isinstance(error.__cause__, ValidationError):
+        problem = error.__cause__.errors()[0]
+        shown, wanted = as_shown(problem["input"]), message_of(problem)
+        message = wanted if wanted.startswith(shown) else f"{shown}: {wanted}"
+        error.message = message.replace("does not match the formats '%Y-%m-%d'", "is no date, YYYY-MM-DD")
 
 
 class _VideoCommands(LazyGroup):

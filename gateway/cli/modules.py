@@ -20,13 +20,13 @@ from devices.device_backup import parse_unique_id
 from gateway.cli.modules_card import card_app
 from gateway.cli.modules_conformance import conformance
 from gateway.cli.modules_suit import WIDEST, Operations, SuitChoice, modules_screen, run_with_suit, with_suit
-from gateway.cli.options import AsJson
+from gateway.cli.options import AsJson, ReplaceFiles, refuse_existing
 from gateway.cli.terminal import TypedLines, wide_console
 from gateway.errors import GatewayError, nearest
 from gateway.modules.assignment import Proposal, Wardrobe
 from gateway.modules.discovery import EVERYWHERE, by_link, discovered, link_line
 from gateway.support.settings_files import load_yaml
-from gateway.support.whole_files import writing
+from gateway.support.whole_files import write_whole, writing
 
 Wide = Annotated[
     bool, typer.Option("--wide", help="Firmware, gaps, resets and clocks too; takes 150 columns.")
@@ -170,9 +170,13 @@ def undo(suit: SuitChoice) -> None:
 
 @with_suit
 def backup(
-    suit: SuitChoice, file: Annotated[Path, typer.Argument(help="YAML file to write; - for the terminal.")]
+    suit: SuitChoice,
+    file: Annotated[Path, typer.Argument(help="YAML file to write; - for the terminal.")],
+    force: ReplaceFiles = False,
 ) -> None:
     """Save all settings of all modules that can be heard."""
+    # An older backup may be the only one from before a change that is to be taken back.
+    refuse_existing(file, force, option=None)
 
     async def work(operations: Operations) -> int:
         saved = await operations.perform("backup", {})
@@ -275,7 +279,7 @@ def _on_a_line(value: Any) -> str:
 
 def _write(file: Path, text: str) -> None:
     with writing(file):
-        file.write_text(text, encoding="utf-8")
+        write_whole(file, text.encode())
 
 
 _STILL_S = 2.0

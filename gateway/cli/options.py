@@ -130,7 +130,11 @@ def seconds_of(option: str, text: str) -> tuple[float, float]:
     return float(span[1]), float(span[2])
 
 
-def refuse_existing(path: Path, force: bool, option: str = "--output") -> None:
-    """Raise ``GatewayError`` for a file that is there, unless it may be replaced. option: what names it."""
+def refuse_existing(path: Path, force: bool, option: str | None = "--output") -> None:
+    """Raise ``GatewayError`` for a file that is there, unless it may be replaced.
+
+    option: what names it; None: an argument.
+    """
     if path.exists() and not force:
-        raise GatewayError(f"{path} exists: name another file with {option}, or replace it with --force")
+        named = "" if option is None else f" with {option}"
+        raise GatewayError(f"{path} exists: name another file{named}, or replace it with --force")

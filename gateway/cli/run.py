@@ -138,9 +138,11 @@ class _Supervisor:
         name = self._to_compile
         if name is None:
             return
+        # Walking is compiled, too, so that the stand-in may be the method itself.
+        serves = "" if name == readiness.FALLBACK else f"'{readiness.FALLBACK}' makes the poses, and "
         log.warning(
-            "compiling the method '%s', once after an installation, up to a minute; until then '%s' makes "
-            "the poses, and the body stays in its place", name, readiness.FALLBACK,
+            "compiling the method '%s', once after an installation, up to a minute; until then %sthe body "
+            "stays in its place", name, serves,
         )  # fmt: skip
         process = await asyncio.create_subprocess_exec(*readiness.command(name))
         try:
@@ -184,7 +186,9 @@ class _Supervisor:
             log.error("the changed configuration cannot run, the old one goes on: %s", error)
             former, self._former = self._former, None
             others = former.others
-            self._take(Service(former.settings, former.pipeline.suit, others=others, config=self._config))
+            again = Service(former.settings, former.pipeline.suit, others=others, config=self._config)
+            again.requests.follow(service.requests)
+            self._take(again)
             return True
         if self._next is None:
             return False

@@ -310,7 +310,10 @@ def _named(path: Path, n: int) -> list[Path]:
 def _target(files: Sequence[str], output: Path | None, to: Sequence[str]) -> Path:
     """Return where the recording goes. Raises ``GatewayError`` when a format is unknown."""
     check_formats(to)
-    return output or Path(files[0].rpartition("=")[2]).with_suffix(".mcap")
+    first = Path(files[0].rpartition("=")[2])
+    if not first.name:
+        raise GatewayError(f"'{files[0]}' names no film: write FILE or CAMERA=FILE")
+    return output or first.with_suffix(".mcap")
 
 
 def _written(

@@ -137,7 +137,10 @@ def save_clock_table(table: ClockTable, path: Path) -> None:
 
 def load_clock_table(path: Path) -> ClockTable:
     """Read a table. Raises ``SettingsError`` naming the file, the entry and the remedy."""
-    content = load_settings(path, ClockTableFile)
+    try:
+        content = load_settings(path, ClockTableFile)
+    except SettingsError as error:
+        raise SettingsError(f"clock.table: {error}") from None
     return ClockTable(
         reference=content.reference,
         ranking=tuple(content.ranking),

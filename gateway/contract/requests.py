@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 from firmware_protocol import MAX_MODULE
 from gateway.errors import GatewayError, nearest
 from gateway.support.former_names import current
-from gateway.support.names import KEPT_FILE, RECORDING_NAME
-from gateway.support.settings_files import message_of
+from gateway.support.names import KEPT_FILE, RECORDING_NAME, SETTING_PLACE, UNIQUE_ID
+from gateway.support.settings_files import explained
 
 
 class Request(BaseModel):
@@ -50,7 +50,7 @@ class ConfigureRequest(Request):
     """Show what other settings would change, or take them into use until `gateway/confirm`: without that the
     gateway goes back by itself. Only sections that its configuration allows (`allow_configuration`)."""
 
-    settings: dict[Annotated[str, Field(pattern=r"^[a-z0-9_]+(\.[a-z0-9_]+){0,3}$")], JsonValue] = Field(
+    settings: dict[Annotated[str, Field(pattern=SETTING_PLACE)], JsonValue] = Field(
         min_length=1,
         max_length=32,
         description="value by name, such as recording.rotate_minutes; null: as the gateway's own file says",
@@ -83,7 +83,7 @@ DeviceName = Annotated[
     str,
     Field(min_length=1, max_length=24, description="module id, 'relay', or the beginning of a unique id"),
 ]
-UniqueId = Annotated[str, Field(pattern=r"^[0-9a-f]{24}$", description="12 bytes, hexadecimal")]
+UniqueId = Annotated[str, Field(pattern=UNIQUE_ID, description="12 bytes, hexadecimal")]
 ModuleId = Annotated[int, Field(ge=0, le=MAX_MODULE)]
 SettingName = Annotated[str, Field(max_length=40)]
 
@@ -449,6 +449,4 @@ def asked(family: str, verb: str, data: Mapping[str, Any]) -> Request:
         # Former names are replaced first, as the models know today's alone.
         return verbs[verb].model_validate(current(dict(data)))
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise GatewayError(f"{family}/{verb}: '{where}': {message_of(first)}") from error
+        raise GatewayError(f"{family}/{verb}: {explained(error.errors()[0], verbs[verb])}") from error

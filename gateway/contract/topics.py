@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gateway.errors import GatewayError
+
 BRIDGE_STATE = "bridge/state"
 BRIDGE_INFO = "bridge/info"
 BRIDGE_HEALTH = "bridge/health"
@@ -29,11 +31,15 @@ CAMERA = "mocap_cameras/{camera}"
 ANY_GATEWAY = "+"
 
 
+class TopicError(GatewayError, ValueError):
+    """A name that cannot stand in a topic."""
+
+
 @dataclass(frozen=True)
 class Topics:
     """Topics of one gateway; with ``ANY_GATEWAY`` as its name, filters for all of them.
 
-    Raises ``ValueError`` for a gateway name that is not one level of a topic.
+    Raises ``TopicError`` for a gateway name that is not one level of a topic.
     """
 
     base_topic: str
@@ -41,7 +47,7 @@ class Topics:
 
     def __post_init__(self) -> None:
         if self.gateway != ANY_GATEWAY and (not self.gateway or set(self.gateway) & set("+#/\0")):
-            raise ValueError(f"gateway name '{self.gateway}' must not be empty, nor hold any of + # /")
+            raise TopicError(f"gateway name '{self.gateway}' must not be empty, nor hold any of + # /")
 
     @property
     def root(self) -> str:

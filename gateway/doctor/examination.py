@@ -17,6 +17,7 @@ from gateway.doctor import running
 from gateway.doctor.broker import broker, camera_topic, is_at_broker
 from gateway.doctor.findings import Finding, Surroundings, Verdict, bad, good, warning
 from gateway.doctor.links import can_interface, capacity, latency, listen, naming, opening
+from gateway.doctor.named_files import trouble_with_files
 from gateway.errors import SettingsError
 from gateway.settings import (
     GatewaySettings,
@@ -103,6 +104,9 @@ def examine_file(
             yield bad("configuration", line, "correct it; what may stand there: mocap-gateway config schema")
         return
     yield good("configuration", f"{config} is well-formed")
+    for trouble in trouble_with_files(settings, load_rig(settings.rig, config), config):
+        found, _, remedy = trouble.rpartition(": ")
+        yield bad("files", found, remedy)
     yield from examine(settings, config, rate_hz or settings.assembly.rate_hz, listen_s, here)
 
 

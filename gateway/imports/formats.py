@@ -79,6 +79,8 @@ def _read_csv(paths: Sequence[Path], options: ReadOptions) -> Recording:
     from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv  # noqa: PLC0415
 
     if options.columns is None:
+        if paths[0].is_dir():
+            raise GatewayError(f"{paths[0]} is a folder without files of a known maker: name the files in it")
         raise GatewayError(
             f"{paths[0]} is a CSV file of no known maker: name its columns with --columns MAP.yaml "
             "(docs/guide/imports.md)"

@@ -8,8 +8,6 @@ import logging
 from collections.abc import Awaitable, Callable, Collection, Mapping
 from typing import Any, TypeVar
 
-from pydantic import ValidationError
-
 from devices.card_download import Card
 from devices.command_client import CommandClient
 from devices.configure import Change, Configurator
@@ -26,13 +24,12 @@ from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S
 from gateway.body.skeleton import WornSuit
 from gateway.contract import requests
 from gateway.contract.messages import plain_json
-from gateway.errors import GatewayError, nearest
+from gateway.errors import GatewayError
 from gateway.modules.journal import Entry, Journal, JournalError
 from gateway.modules.makers import MakersModule, MakersModules, changed
 from gateway.modules.motion import MotionWatch
 from gateway.modules.summary import Counts, count_samples, segments_of, summarise
 from gateway.sources.stream import Stream
-from gateway.support.former_names import current
 
 _log = logging.getLogger(__name__)
 
@@ -108,13 +105,8 @@ class ModuleOperations:
         return found.counts.unverified if isinstance(found, ReconnectingLink) else {}
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> Plain:
-        """Do what a verb asks. Raises ``RequestError``, ``DeviceError`` or ``LinkError``."""
-        if verb not in self._verbs:
-            raise RequestError(f"there is no request 'modules/{verb}'{nearest(verb, self._verbs)}")
-        try:
-            request = requests.MODULE_REQUESTS[verb].model_validate(current(dict(data)))
-        except ValidationError as error:
-            raise RequestError(f"modules/{verb}: {_first_problem(error)}") from error
+        """Do what a verb asks. Raises ``GatewayError``, ``DeviceError`` or ``LinkError``."""
+        request = requests.asked("modules", verb, data)
         try:
             # These wait for what modules send: in turn, all others would wait with them.
             if verb in _WAITING:
@@ -408,11 +400,3 @@ def _restored(restored: Restored) -> Plain:
         "absent": [uid.hex() for uid in restored.absent],
         "failures": {uid.hex(): reason for uid, reason in restored.failures.items()},
     }
-
-
-def _first_problem(error: ValidationError) -> str:
-    problem = error.errors()[0]
-    if problem["type"] == "string_pattern_mismatch":  # unique ids alone have one
-        return f"'{problem['input']}' is no unique id: 24 hexadecimal digits (0-9, a-f) are wanted"
-    where = ".".join(map(str, problem["loc"]))
-    return f"'{where}' {problem['msg'].lower()}" if where else problem["msg"].lower()

@@ -80,28 +80,44 @@ async def remote_suit(
     """Connect to a broker of a gateway; without a name to that of the only one that is online.
 
     family: first part of the verbs that will be asked for.
-    Raises ``BrokerUnreachableError``, and ``RequestError`` when there is none or more than one, or the name
-    cannot stand in a topic.
+    Raises ``BrokerUnreachableError``, ``RequestError`` when there is none or more than one, and
+    ``TopicError`` where the name cannot stand in a topic.
     """
-    try:
-        answers = Topics(settings.base_topic, gateway).response(f"{family}/+")
-    except ValueError as error:
-        raise RequestError(str(error)) from None
+    answers = Topics(settings.base_topic, gateway).response(f"{family}/+")
     # Subscribed before anything is asked: an answer without a subscriber is lost.
     async with any_connection(settings, family, [answers]) as (client, door):
-        if gateway == ANY_GATEWAY:
-            # A command from somebody who does not name a gateway must not reach one of several by chance.
-            try:
-                gateway = await _only_gateway(client, door)
-            except aiomqtt.MqttError as error:
-                raise BrokerUnreachableError(explain(error, door, door.port)) from error
+        try:
+            gateway = await _present_gateway(client, door, gateway)
+        except aiomqtt.MqttError as error:
+            raise BrokerUnreachableError(explain(error, door, door.port)) from error
         yield RemoteOperations(client, door, Topics(settings.base_topic, gateway), family)
 
 
-async def _only_gateway(client: aiomqtt.Client, settings: MqttSettings) -> str:
+async def _present_gateway(client: aiomqtt.Client, settings: MqttSettings, wanted: str) -> str:
+    """Return the gateway that is meant. Raises ``RequestError`` where it is not online.
+
+    A command from somebody who names none must not reach one of several by chance. One that is named is taken
+    at its word where the broker tells of no gateway at all: that may be for want of a right.
+    """
+    is_online = await _states(client, settings, wanted)
+    online = sorted(name for name, state in is_online.items() if state)
+    there = f"online are {', '.join(online)}: name one with --gateway" if online else "none is online"
+    if wanted != ANY_GATEWAY:
+        if is_online and not is_online.get(wanted, False):
+            raise RequestError(
+                f"gateway '{wanted}' is not online at {settings.host}:{settings.port}: {there}"
+            )
+        return wanted
+    if len(online) != 1:
+        raise RequestError(f"which gateway at {settings.host}:{settings.port}? {there}")
+    return online[0]
+
+
+async def _states(client: aiomqtt.Client, settings: MqttSettings, wanted: str) -> dict[str, bool]:
+    """Return of every gateway whether it is online, or at least of the one that is wanted."""
     every = Topics(settings.base_topic, ANY_GATEWAY)
     await client.subscribe(every.bridge_state, qos=1)
-    online: set[str] = set()
+    states: dict[str, bool] = {}
     # Retained messages come at once, one after another: after the first, a short pause means that all have
     # come.
     first = True
@@ -111,18 +127,15 @@ async def _only_gateway(client: aiomqtt.Client, settings: MqttSettings) -> str:
                 address = every.split(message.topic.value)
                 if address is None or address[1] != topics.BRIDGE_STATE:
                     continue
-                if first:
+                if first and wanted == ANY_GATEWAY:
                     waiting.reschedule(asyncio.get_running_loop().time() + _REST_S)
                     first = False
-                if _is_online(message):
-                    online.add(address[0])
+                states[address[0]] = _is_online(message)
+                # One that takes another configuration into use is offline for a moment.
+                if address[0] == wanted and states[wanted]:
+                    break
     await client.unsubscribe(every.bridge_state)
-    if len(online) != 1:
-        there = (
-            f"online are {', '.join(sorted(online))}: name one with --gateway" if online else "none is online"
-        )
-        raise RequestError(f"which gateway at {settings.host}:{settings.port}? {there}")
-    return online.pop()
+    return states
 
 
 def _is_online(message: aiomqtt.Message) -> bool:

@@ -11,6 +11,7 @@ import asyncio
 import logging
 import math
 import os
+import re
 import secrets
 import socket
 import ssl
@@ -141,6 +142,8 @@ _BAD_CREDENTIALS = 134
 _NOT_AUTHORISED = 135
 
 _CANCEL_AGAIN_S = 0.5
+_NUMBER = re.compile(r"\[(Errno -?\d+|code:\d+)\] ")
+"""Before what the system, or the client, says of an error."""
 
 
 def broker_back_off() -> BackOff:
@@ -198,14 +201,15 @@ def explain(error: BaseException, settings: MqttSettings, port: int) -> str:
         return str(error)
     if isinstance(error, MqttConnectError):
         return _explain_refusal(error.rc, settings, where)
-    if "SSL" in str(error):
-        return f"no TLS connection to the broker at {where} ({error}): check tls.ca_file and the host name"
-    if "timed out" in str(error):
+    reason = _NUMBER.sub("", str(error)).replace("Unspecified error", "it hung up")
+    if "SSL" in reason:
+        return f"no TLS connection to the broker at {where} ({reason}): check tls.ca_file and the host name"
+    if "timed out" in reason:
         return f"the MQTT broker at {where} does not answer: is it frozen, or does it expect TLS (see tls)?"
     hint = "is the embedded broker running?"
     if settings.broker == "external":
         hint = "is mosquitto running? (broker: embedded needs none)"
-    return f"no MQTT broker at {where} ({error}): {hint}"
+    return f"no MQTT broker at {where} ({reason}): {hint}"
 
 
 def _explain_refusal(code: int | ReasonCode | None, settings: MqttSettings, where: str) -> str:
@@ -394,9 +398,26 @@ def _tls_parameters(tls: TlsSettings) -> aiomqtt.TLSParameters:
     for name, path in files.items():
         if path is not None and not os.access(path, os.R_OK):
             raise CredentialError(
-                f"cannot read tls.{name} {path}: no such file, or not readable for this user"
+                f"cannot read tls.{name} {path} (no such file, or not readable for this user): name another"
             )
     ca_file, certificate, key = (None if path is None else str(path) for path in files.values())
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        if ca_file is not None:
+            context.load_verify_locations(ca_file)
+    except OSError:
+        raise CredentialError(
+            f"tls.ca_file {ca_file}: holds no certificate in PEM (BEGIN CERTIFICATE): name another file"
+        ) from None
+    try:
+        if certificate is not None:
+            # A key that asks for a password would have it asked for on the terminal.
+            context.load_cert_chain(certificate, key, password="")
+    except (OSError, ValueError):
+        raise CredentialError(
+            f"tls.certificate {certificate}: with tls.key {key} it is no certificate and its key in PEM, "
+            "without a password: name the two files that were made together"
+        ) from None
     return aiomqtt.TLSParameters(ca_certs=ca_file, certfile=certificate, keyfile=key)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,9 @@ import gateway
 from devices.link import Chunk, SentChunk, gateway_time_ns
 from devices.recording_file import RecordingError
 from gateway.body.skeleton import WornSuit
+from gateway.contract.requests import MarkRequest, Request, StartRecordingRequest, asked
 from gateway.contract.ros_messages import BodyTransforms
-from gateway.errors import GatewayError, nearest
+from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.recording.files import Contents, SessionFiles, free_bytes, prepare_folder
 from gateway.recording.recorder import Recorder, RecorderBalance, Sink
@@ -28,7 +29,6 @@ WATCH_INTERVAL_S = 0.5
 _LONGEST_CLOSE_S = 10.0
 _CUT_OFF_S = 2.0
 """Without a broker, before that is worth a recording: longer than another node of a cluster takes."""
-_LONGEST_MARK = 200
 _MB = 1e6
 
 log = logging.getLogger(__name__)
@@ -62,10 +62,10 @@ class RecordingControl:
         self.marks = 0
         """Made in the recording under way, or in the last one."""
         self._watching: asyncio.Task[None] | None = None
-        self._verbs = {
+        self._verbs: dict[str, Callable[[Any], Awaitable[None]]] = {
             "start": self._asked_to_start,
             "stop": self._asked_to_stop,
-            "status": self._asked,
+            "status": self._asked_for_status,
             "mark": self._asked_to_mark,
         }
 
@@ -227,41 +227,30 @@ class RecordingControl:
         """Perform ``recording/start`` (optional ``name``), ``stop``, ``status`` or ``mark`` (``text``);
         return the status.
         """
-        if verb not in self._verbs:
-            raise GatewayError(f"there is no request 'recording/{verb}'{nearest(verb, self._verbs)}")
-        known = {"start": {"name"}, "mark": {"text"}}.get(verb, set())
-        unknown = sorted(set(data) - known)
-        if unknown:
-            raise GatewayError(f"recording/{verb} takes {sorted(known) or 'no data'}, not '{unknown[0]}'")
-        await self._verbs[verb](data)
+        request = asked("recording", verb, data)
+        await self._verbs[verb](request)
         return self.status()
 
-    async def _asked_to_start(self, data: Mapping[str, Any]) -> None:
-        name = data.get("name")
-        if name is not None and not isinstance(name, str):
-            raise GatewayError("recording/start: 'name' is a text")
-        self.start(name)
+    async def _asked_to_start(self, request: StartRecordingRequest) -> None:
+        self.start(request.name)
 
-    async def _asked_to_stop(self, _data: Mapping[str, Any]) -> None:
+    async def _asked_to_stop(self, _request: Request) -> None:
         if not self.is_recording:
             raise GatewayError("nothing is being recorded")
         await self.stop()
 
-    async def _asked_to_mark(self, data: Mapping[str, Any]) -> None:
-        text = data.get("text", "")
-        if not isinstance(text, str) or len(text) > _LONGEST_MARK:
-            raise GatewayError(f"recording/mark: 'text' is a text of at most {_LONGEST_MARK} characters")
+    async def _asked_to_mark(self, request: MarkRequest) -> None:
         if not self.is_recording:
             raise GatewayError("nothing is being recorded: start a recording, then mark instants of it")
         self.marks += 1
-        self.event("mark", {"number": self.marks, "text": text})
+        self.event("mark", {"number": self.marks, "text": request.text})
 
     @property
     def file(self) -> Path | None:
         """The file that is being written; None: nothing is recorded."""
         return self._files.path if self.is_recording and self._files is not None else None
 
-    async def _asked(self, _data: Mapping[str, Any]) -> None:
+    async def _asked_for_status(self, _request: Request) -> None:
         """Do nothing: ``perform`` answers with the status."""
 
     def _keep_statistics(self) -> None:

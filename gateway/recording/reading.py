@@ -30,7 +30,7 @@ from gateway.recording.arrays import SkeletonArrays, arrays_of, marker_arrays
 from gateway.recording.pose_encoding import RecordedMarkers, decode_markers, decode_skeleton_frame
 from gateway.recording.snapshot import decode_suit
 from gateway.settings import GatewaySettings
-from gateway.support.settings_files import is_union_tag
+from gateway.support.settings_files import explained, is_union_tag
 
 _log = logging.getLogger(__name__)
 
@@ -107,10 +107,9 @@ class RecordingMeta:
                 _log.warning("%s: settings of version %s left out: %s", self.path, self.software, unknown)
             return GatewaySettings.model_validate(plain)
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
+            problem = explained(error.errors()[0], GatewaySettings)
             raise SettingsError(
-                f"{self.path}: the recorded configuration cannot be read: '{where}': {first['msg']}"
+                f"{self.path}: the recorded configuration cannot be read: {problem}"
             ) from error
         except ValueError as error:
             raise SettingsError(f"{self.path}: the recorded configuration cannot be read: {error}") from error

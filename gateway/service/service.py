@@ -265,6 +265,7 @@ class Service:
                 metrics.bind()
             await self.side.open()
             await self.mqtt.prepare(former.mqtt)
+            self.requests.follow(former.requests)
         except BaseException as error:
             await self.release(former)
             if isinstance(error, LinkError):
@@ -277,6 +278,7 @@ class Service:
             self.observer.metrics.release()
         await self.side.close()
         await self.mqtt.release(former.mqtt)
+        self.requests.release(former.requests)
 
     async def run(self) -> None:
         """Open everything, and pass on what comes.

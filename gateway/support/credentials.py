@@ -33,7 +33,9 @@ def read_secret(file: Path | None, variable: str, setting: str) -> str | None:
             lines = opened.read(_LARGEST_FILE).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise CredentialError(f"cannot read {setting} {file}: {reason}") from None
+        raise CredentialError(
+            f"cannot read {setting} {file} ({reason}): name a file that this user may read"
+        ) from None
     return lines[0] if lines else ""
 
 

@@ -70,14 +70,9 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
 def load_yaml(path: Path) -> Any:
     """Return the content of a YAML file. Raises ``SettingsError`` with file and line when it cannot be
     read."""
+    text = read_text(path)
     try:
-        return current(yaml_text.load(_text_of(path)))
-    except FileNotFoundError:
-        raise SettingsError(f"{path}: no such file") from None
-    except UnicodeDecodeError as error:
-        raise SettingsError(f"{path}: is no text in UTF-8 (byte {error.start}): save it as UTF-8") from error
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
+        return current(yaml_text.load(text))
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}, column {mark.column + 1}" if mark else ""
@@ -86,15 +81,26 @@ def load_yaml(path: Path) -> Any:
             problem = f"is no text: character {error.position + 1} of it is a control character"
         if r"'\t'" in problem:
             problem = "a tab where spaces are wanted: indent with spaces"
-        raise SettingsError(f"{path}:{where} {problem}") from error
+        raise SettingsError(f"{path}:{where} {problem}: 'key: value' lines (YAML) are wanted") from error
 
 
-def _text_of(path: Path) -> str:
-    with path.open("rb") as file:
-        data = file.read(yaml_text.LARGEST_TEXT + 1)
-    if len(data) > yaml_text.LARGEST_TEXT:
-        raise SettingsError(f"{path}: is larger than {yaml_text.LARGEST_TEXT >> 20} MiB: it is another file")
-    return data.decode("utf-8")
+def read_text(path: Path) -> str:
+    """Return the text of a file. Raises ``SettingsError`` with what to do when it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(yaml_text.LARGEST_TEXT + 1)
+        if len(data) > yaml_text.LARGEST_TEXT:
+            most = f"{yaml_text.LARGEST_TEXT >> 20} MiB"
+            raise SettingsError(f"{path}: is larger than {most}: it is another file")
+        return data.decode("utf-8")
+    except FileNotFoundError:
+        raise SettingsError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise SettingsError(f"{path}: is a folder: name the file in it") from None
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{path}: is no text in UTF-8 (byte {error.start}): save it as UTF-8") from error
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | None = None) -> Model:
@@ -106,8 +112,14 @@ def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | N
     if content is None:
         raise SettingsError(f"{path}: is empty: 'key: value' lines are wanted")
     if not isinstance(content, dict):
+        raise SettingsError(f"{path}: is another file: {_wanted_of(model)}")
+    required = [name for name, field in model.model_fields.items() if field.is_required()]
+    unknown = [str(key) for key in content if key not in _known_keys(model, ())]
+    if len(unknown) > len(content) / 2 and required and not content.keys() & set(required):
+        shown = ", ".join(f"'{_shortened(key, 40)}'" for key in unknown[:3])
         raise SettingsError(
-            f"{path}: holds {type(content).__name__}, not named settings ('key: value' lines)"
+            f"{path}: is another file, or all is misspelt: {_wanted_of(model)}; it has {shown}"
+            + (" …" if len(unknown) > 3 else "")
         )
     if changes:
         content = _changed(content, changes)
@@ -116,7 +128,7 @@ def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | N
     except ValidationError as error:
         problems = error.errors()
         # One mistake, as a wrong indent, may give hundreds of problems.
-        lines = [f"{path}: {_explain(problem, model)}" for problem in problems[:_MOST_PROBLEMS]]
+        lines = [f"{path}: {explained(problem, model)}" for problem in problems[:_MOST_PROBLEMS]]
         if len(problems) > _MOST_PROBLEMS:
             lines.append(f"{path}: and {len(problems) - _MOST_PROBLEMS} more like these")
         raise SettingsError("\n".join(lines)) from error
@@ -125,6 +137,13 @@ def load_settings(path: Path, model: type[Model], changes: Mapping[str, Any] | N
         lines = [f"{path}: '{place}' is a truth value where a number is wanted" for place in truths]
         raise SettingsError("\n".join(lines[:_MOST_PROBLEMS]))
     return settings
+
+
+def _wanted_of(model: type[BaseModel]) -> str:
+    """Return which settings are wanted in a file, those first without which it is none."""
+    by_need = sorted(model.model_fields.items(), key=lambda field: not field[1].is_required())
+    names = [field.alias or name for name, field in by_need]
+    return f"'key: value' lines for {', '.join(names[:6])} … are wanted"
 
 
 def _numbers_from_truths(
@@ -165,7 +184,8 @@ def _changed(content: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str
     return changed
 
 
-def _explain(problem: Any, model: type[BaseModel]) -> str:
+def explained(problem: Any, model: type[BaseModel]) -> str:
+    """Return field, value and what is wanted, of one of the errors that pydantic found in a ``model``."""
     if problem["type"] == "extra_forbidden":
         *within, name = problem["loc"]
         return f"unknown setting '{_place((*within, _Key(name)))}'" + nearest(
@@ -181,15 +201,23 @@ def _explain(problem: Any, model: type[BaseModel]) -> str:
 
 def message_of(problem: Any) -> str:
     """Return what is wrong with a value and what is wanted, of one of pydantic's errors."""
-    limit = problem.get("ctx", {})
-    if "pattern" in limit and limit["pattern"] in IN_WORDS:
-        return IN_WORDS[limit["pattern"]]
+    limits = {name: _plain_number(limit) for name, limit in problem.get("ctx", {}).items()}
+    if "pattern" in limits:
+        return IN_WORDS.get(str(limits["pattern"])) or f"a text of the form {limits['pattern']} is wanted"
     kind = problem["type"].removesuffix("_type").removesuffix("_parsing")
-    return _WANTED.get(kind) or str(problem["msg"]).removeprefix("Value error, ")
+    wanted = _WANTED.get(kind)
+    return str(problem["msg"]).removeprefix("Value error, ") if wanted is None else wanted.format(**limits)
+
+
+def _plain_number(limit: object) -> object:
+    """Return a whole number without the decimals that it has as a limit of other numbers."""
+    return int(limit) if isinstance(limit, float) and limit.is_integer() else limit
 
 
 _LIST = "a list is wanted: [one, another], or lines that begin with '- '"
 _SECTION = "a section of 'key: value' lines is wanted"
+_WHOLE = "a whole number is wanted, without a unit"
+_CHOICE = "{expected} is wanted"
 _WANTED = {
     "list": _LIST,
     "tuple": _LIST,
@@ -199,10 +227,25 @@ _WANTED = {
     "model": _SECTION,
     "model_attributes": _SECTION,
     "string": "a text is wanted",
+    "path": "a path is wanted",
     "float": "a number is wanted, without its unit",
-    "int": "a whole number is wanted, without a unit",
+    "finite_number": "a finite number is wanted",
+    "int": _WHOLE,
+    "int_from_float": _WHOLE,
+    "int_parsing_size": "that is too large a number",
     "bool": "true or false is wanted",
-    "too_short": "it has too few entries",
+    "literal_error": _CHOICE,
+    "enum": _CHOICE,
+    "greater_than": "more than {gt} is wanted",
+    "greater_than_equal": "at least {ge} is wanted",
+    "less_than": "less than {lt} is wanted",
+    "less_than_equal": "at most {le} is wanted",
+    "too_short": "it has too few entries: at least {min_length}",
+    "too_long": "it has too many entries: at most {max_length}",
+    "string_too_short": "at least {min_length} character(s) are wanted",
+    "string_too_long": "at most {max_length} characters are wanted",
+    "missing": "it is missing",
+    "extra_forbidden": "there is no such setting",
 }
 """By pydantic's kinds of errors, whose own words are of Python's types."""
 

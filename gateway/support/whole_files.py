@@ -15,6 +15,9 @@ _REMEDIES: dict[int | None, str] = {
     errno.ENOENT: "name a place that exists, or make the folder first",
     errno.ENOTDIR: "a part of the path is a file: name another place",
     errno.EISDIR: "that is a folder: name a file in it",
+    errno.EEXIST: "something lies there already: name another place",
+    errno.EINVAL: "that is no file, or no name for one: name another place",
+    errno.ENAMETOOLONG: "the name is too long: name another place",
     errno.EACCES: "you may not write there: name another place, or change its permissions",
     errno.EPERM: "you may not write there: name another place, or change its permissions",
     errno.EROFS: "that disk cannot be written: name another place",
@@ -94,7 +97,8 @@ def _replaceable(path: Path) -> Path:
     """Return what a link stands for: that is replaced, not the link. Raises ``OSError`` for a device."""
     path = path.resolve()
     if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "it is no file", str(path))
+        code = errno.EISDIR if path.is_dir() else errno.EINVAL
+        raise OSError(code, "it is no file", str(path))
     return path
 
 

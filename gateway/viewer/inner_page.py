@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from typing import Any
@@ -38,7 +39,7 @@ def served_behind_gate(gate_pass: AccessToken) -> Iterator[viser.ViserServer]:
             return process_request(connection, request) if process_request else None
 
         started.append(True)
-        return serve(*args, process_request=admit, **options)
+        return serve(*args, process_request=admit, logger=_connections_log(), **options)
 
     # The library has no setting for who is let in, and looks its server up under this name when it starts.
     websockets.asyncio.server.serve = guarded  # type: ignore[misc,assignment]
@@ -54,6 +55,23 @@ def served_behind_gate(gate_pass: AccessToken) -> Iterator[viser.ViserServer]:
     finally:
         with _silence():
             server.stop()
+
+
+def _connections_log() -> logging.Logger:
+    """Return a log in which a message that nobody understands is a line, and not all that led to it: whoever
+    is let in could fill a disk with these."""
+    log = logging.getLogger(f"{__name__}.connections")
+    log.addFilter(_in_a_line)
+    return log
+
+
+def _in_a_line(record: logging.LogRecord) -> bool:
+    if record.exc_info and record.exc_info[1] is not None:
+        error = record.exc_info[1]
+        record.msg = f"a browser was hung up on, for what it sent ({type(error).__name__})"
+        record.args, record.exc_info = (), None
+        record.levelno, record.levelname = logging.WARNING, "WARNING"
+    return True
 
 
 def _silence() -> contextlib.redirect_stdout[io.StringIO]:

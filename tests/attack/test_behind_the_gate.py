@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import importlib.metadata
 
 import pytest
 import websockets
@@ -53,6 +55,29 @@ async def test_a_web_page_that_tries_all_ports_cannot_press_the_buttons(page: in
             pass
         with pytest.raises(websockets.InvalidStatus, match="403"):  # whoever shows a pass to the gate
             await websockets.connect(f"ws://{here}", additional_headers={PASS_HEADER: "guessed"})
+
+
+@pytest.mark.parametrize(
+    "message", [b"\x91" * 200_000, "x" * (1 << 20), b"", b"\xc1", b"\x81\xa4type\xa6NoSuch"]
+)
+async def test_a_message_that_nobody_understands_costs_a_line_and_that_connection(page: int, message, caplog):
+    version = importlib.metadata.version("viser")
+    wanted = {
+        "additional_headers": {PASS_HEADER: GATE_PASS.reveal()},
+        "subprotocols": [f"viser-v{version}"],
+        "max_size": None,
+    }
+    async with websockets.connect(f"ws://127.0.0.1:{page}", **wanted) as connection:
+        await connection.send(message)
+        with contextlib.suppress(websockets.ConnectionClosed):
+            async with asyncio.timeout(PATIENCE_S):
+                while True:
+                    await connection.recv()
+    lines = [record for record in caplog.records if "connections" in record.name]
+    assert "a browser was hung up on" in lines[0].getMessage()
+    assert all(record.exc_info is None for record in lines)
+    async with websockets.connect(f"ws://127.0.0.1:{page}", **wanted) as connection:
+        await connection.recv()
 
 
 @pytest.mark.parametrize("headers", FORGED)

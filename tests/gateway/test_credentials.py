@@ -23,7 +23,9 @@ def test_a_file_comes_before_the_environment(tmp_path, monkeypatch):
 def test_an_error_names_the_file_and_not_its_content(tmp_path):
     file = tmp_path / "secret"
     file.write_bytes(b"hidden \xff")
-    with pytest.raises(CredentialError, match=f"cannot read token_file {file}: not UTF-8 text") as caught:
+    with pytest.raises(
+        CredentialError, match=rf"cannot read token_file {file} \(not UTF-8 text\): name"
+    ) as caught:
         read_secret(file, "SECRET", "token_file")
     assert "hidden" not in str(caught.value)
 

@@ -84,7 +84,7 @@ def test_plain_values_are_read_as_the_safe_loader_reads_them(value):
 def test_found_by_fuzzing_a_setting_that_begins_with_a_capital(name, tmp_path):
     """It was taken for the tag of a union, and the error message failed with IndexError."""
     path = tmp_path / "gateway.yaml"
-    path.write_text(yaml.safe_dump({name: 1}))
+    path.write_text(yaml.safe_dump({name: 1, "rig": "single"}))
     with pytest.raises(SettingsError, match="unknown setting '") as caught:
         load_gateway_settings(path)
     assert name[:40] in str(caught.value)

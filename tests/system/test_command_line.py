@@ -110,7 +110,7 @@ def test_help_has_an_example_for_every_command():
     [
         ({"asembly": {"rate_hz": 100}}, r"unknown setting 'asembly' \(did you mean 'assembly'\?\)"),
         ({"assembly": {"rate": 100}}, r"unknown setting 'assembly\.rate' \(did you mean 'rate_hz'\?\)"),
-        ({"assembly": {"rate_hz": 0}}, r"'assembly\.rate_hz' is 0: .*greater than 0"),
+        ({"assembly": {"rate_hz": 0}}, r"'assembly\.rate_hz' is 0: more than 0"),
         ({"rig": "suit_71"}, r"'suit_71'.*did you mean 'suit_17'"),
         (
             {"reconstructor": "gyro_free_delayed"},
@@ -120,7 +120,7 @@ def test_help_has_an_example_for_every_command():
             {"reconstructor_delay_ms": 100},
             r"'independent' gives its frames at once: a delay is for gyro_free",
         ),
-        ({"reconstructor_delay_ms": 1e5}, r"'reconstructor_delay_ms' is 100000.*less than or equal to 2000"),
+        ({"reconstructor_delay_ms": 1e5}, r"'reconstructor_delay_ms' is 100000.*at most 2000"),
         ({"reconstructor": "articulate"}, r"no such reconstructor \(did you mean 'articulated'\?\)"),
         ({"links": [{"name": "a", "url": "serail:///dev/ttyUSB0"}]}, r"serail.*serial"),
         (
@@ -129,7 +129,7 @@ def test_help_has_an_example_for_every_command():
         ),
         (
             {"clock": {"mode": "table", "table": "absent.yaml"}},
-            r"gateway\.yaml: 'clock\.table': absent\.yaml: no such file",
+            r"gateway\.yaml: 'clock\.table' is absent\.yaml: no such file",
         ),
         ({"mqtt": {"password": "hunter2"}}, r"set MOCAP_MQTT_PASSWORD or password_file"),
     ],

@@ -20,8 +20,17 @@ def test_it_is_of_a_whole_suit_unless_told_otherwise_and_of_module_0_as_the_repo
     file = tmp_path / "suit.dbc"
     assert typed_here(["config", "dbc", "-o", str(file)])[0] == 0
     assert file.read_text(encoding="ascii") == render(range(17))
-    assert typed_here(["config", "dbc", "--modules", "0", "-o", str(file)])[0] == 0
+    assert typed_here(["config", "dbc", "--modules", "0", "--force", "-o", str(file)])[0] == 0
     assert file.read_bytes() == PATH.read_bytes()
+
+
+def test_a_file_that_is_there_is_replaced_only_when_told_so(tmp_path):
+    file = tmp_path / "README.md"
+    file.write_text("not to be lost")
+    code, _, err = typed_here(["config", "dbc", "-o", str(file)])
+    assert code == 1
+    assert "exists: name another file with --output, or replace it with --force" in err
+    assert file.read_text() == "not to be lost"
 
 
 def test_samples_hold_the_sensors_that_are_named(tmp_path):

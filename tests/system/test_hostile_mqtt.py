@@ -38,6 +38,7 @@ async def under_fire(mosquitto, protocol, before=()):
 
     async def perform(verb, data):
         done.append((verb, data))
+        await asyncio.sleep(data.get("seconds", 0))
         return {"echo": data}
 
     async with aiomqtt.Client("127.0.0.1", mosquitto.port, protocol=version) as client:
@@ -144,6 +145,30 @@ async def test_a_flood_is_bounded_counted_and_over_when_it_is_over(mosquitto, pr
             assert answer["status"] == "ok" or is_crowded_out(answer)
         assert len(done) <= len(told) + 50
     assert sum("requests come faster than" in record.message for record in caplog.records) <= 4
+
+
+async def test_more_than_are_taken_at_once_are_answered_all_the_same(mosquitto, protocol):
+    n = MOST_AT_ONCE + 150
+    async with under_fire(mosquitto, protocol) as (_, _done, client, answers):
+        for k in range(n):
+            await client.publish(REQUEST + "many", b'{"transaction": %d}' % k, qos=1)
+        async with asyncio.timeout(PATIENCE_S):
+            while len(answers) < n:
+                await asyncio.sleep(0.05)
+    assert {answer["transaction"] for _, answer in answers} == set(range(n))
+
+
+async def test_an_answer_that_meets_a_lost_connection_goes_out_over_the_next(mosquitto):
+    async with under_fire(mosquitto, "3.1.1") as (responder, _done, client, answers):
+        await client.publish(REQUEST + "slow", b'{"transaction": 1, "seconds": 0.2}', qos=1)
+        await asyncio.sleep(0.1)
+        first = responder._line.client
+        first._disconnected.set_exception(aiomqtt.MqttError("lost"))
+        async with asyncio.timeout(PATIENCE_S):
+            while not answers:
+                await asyncio.sleep(0.01)
+    assert answers[0][1]["transaction"] == 1
+    assert responder._line.client is not first
 
 
 async def test_two_requests_of_one_number_are_two_requests(mosquitto, protocol):

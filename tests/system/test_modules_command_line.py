@@ -167,6 +167,21 @@ async def test_backup_and_restore(suit_on_port, command, tmp_path):
         assert suit.traffic.device(1).settings["label"] == ""
 
 
+async def test_an_older_backup_is_replaced_only_when_told_so(suit_on_port, tmp_path):
+    """It may be the only one from before a change that is to be taken back."""
+    file = tmp_path / "suit.yaml"
+    async with suit_on_port() as (_, modules):
+        assert (await modules("backup", str(file)))[0] == 0
+        kept = file.read_text()
+        assert (await modules("set", "1", "label=x", "--allow-writes"))[0] == 0
+        code, _, errors = await modules("backup", str(file))
+        assert code == 1
+        assert "exists: name another file, or replace it with --force" in errors
+        assert file.read_text() == kept
+        assert (await modules("backup", str(file), "--force"))[0] == 0
+        assert file.read_text() != kept
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

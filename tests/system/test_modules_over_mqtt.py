@@ -119,8 +119,8 @@ REFUSED = [
     ("modules/lst", {}, "there is no request 'modules/lst' (did you mean 'list'?)"),
     ("module/list", {}, "there is no request 'module/list' (did you mean 'modules'?)"),
     ("modules", {}, "there is no request 'modules/' (known: assign, backup"),
-    ("modules/identify", {}, "modules/identify: 'device' field required"),
-    ("modules/identify", {"device": "0", "secs": 3}, "'secs' extra inputs are not permitted"),
+    ("modules/identify", {}, "modules/identify: 'device' is missing"),
+    ("modules/identify", {"device": "0", "secs": 3}, "unknown setting 'secs'"),
     ("modules/list", b"{not json", "a request is a JSON object"),
     ("modules/list", b"[1, 2]", "a request is a JSON object"),
     ("modules/list", b"\xff" * (LARGEST_REQUEST + 1), "at most 65536 are taken"),
@@ -128,7 +128,11 @@ REFUSED = [
     ("modules/identify", {"device": "17"}, "no device '17' answers; there are: 0 ("),
     ("modules/set", {"device": "0", "settings": {"label": "x"}}, "'allow_device_writes: true'"),
     ("modules/assign", {"ids": {"00" * 12: 1}}, "'allow_device_writes: true'"),
-    ("modules/assign", {"ids": {"3": 1}}, "'3' is no unique id: 24 hexadecimal digits (0-9, a-f)"),
+    (
+        "modules/assign",
+        {"ids": {"3": 1}},
+        "'ids.3' is '3': this is no unique id: 24 hexadecimal digits (0-9, a-f)",
+    ),
     ("modules/undo", {}, "there is no change to undo"),
 ]
 
@@ -266,6 +270,21 @@ async def test_a_retained_request_is_not_carried_out(served):
                 if answered[-1] == "gateway/info":  # what is retained has come to the gateway before it
                     break
     assert answered == ["gateway/info"]
+
+
+async def test_a_gateway_that_is_not_online_is_told_at_once(served, mosquitto):
+    """Not after the longest time that an answer may take."""
+    async with served() as (_, _, mqtt):
+        async with remote_suit(mqtt, "lab") as remote:
+            assert (await remote.perform("list", {"listen_s": 0.5}))["modules"]
+        with pytest.raises(
+            RequestError, match=r"gateway 'labb' is not online at .*: online are lab: name one"
+        ):
+            async with remote_suit(mqtt, "labb"):
+                pass
+    with pytest.raises(RequestError, match=r"gateway 'lab' is not online at .*: none is online"):
+        async with remote_suit(mqtt, "lab"):
+            pass
 
 
 async def test_the_gateway_of_a_broker_is_found_and_asked(served, mosquitto):

@@ -132,9 +132,9 @@ async def test_requests_start_and_stop_recordings(tmp_path, emulated, mosquitto,
             assert ended["data"]["state"] == "off"
             assert "nothing is being recorded" in (await ask("stop"))["error"]
             for name in ("../../etc/x", "a/b", ""):
-                assert "is no name for a recording" in (await ask("start", name=name))["error"]
-            assert "'name' is a text" in (await ask("start", name=5))["error"]
-            assert "not 'folder'" in (await ask("start", folder="/etc"))["error"]
+                assert "a name of up to 64 letters" in (await ask("start", name=name))["error"]
+            assert "'name' is 5: a text is wanted" in (await ask("start", name=5))["error"]
+            assert "unknown setting 'folder'" in (await ask("start", folder="/etc"))["error"]
             assert "did you mean 'start'" in (await ask("stort"))["error"]
     (path,) = (tmp_path / "kept").iterdir()
     recording = open_recording(path)

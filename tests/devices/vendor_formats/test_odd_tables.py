@@ -159,3 +159,28 @@ def test_thousandths_of_gravity(tmp_path):
 )
 def test_names_of_files_keep_the_side_that_they_share(stems, labels):
     assert labels_of([Path(f"{stem}.csv") for stem in stems]) == labels
+
+
+def test_commas_that_part_cells_and_decimals_alike_are_refused(tmp_path):
+    """All columns after the first would be others, without a word."""
+    rows = [row.replace(".", ",") for row in rows_of(50)]
+    columns = ColumnMap.model_validate({"rate_hz": 100, "modules": [MODULE]})
+    path = tmp_path / "odd.csv"
+    path.write_text("\n".join([HEAD, *rows]))
+    with pytest.raises(FormatError, match=r"line 2: has \d+ cells for 10 columns: .*semicolons"):
+        read_mapped_csv(path, columns, tmp_path)
+    rows = [row.replace(",", ";").replace(".", ",") for row in rows_of(50)]
+    path.write_text("\n".join([HEAD.replace(",", ";"), *rows]))
+    assert len(samples_of(read_mapped_csv(path, columns, tmp_path))) == 50
+
+
+def test_a_thousands_separator_is_no_end_of_a_cell(tmp_path):
+    rows = rows_of(50)
+    rows[10] = rows[10].replace("9.81", '"1,009.81"')
+    with pytest.raises(FormatError, match=r"line 12, column 'az': a number is wanted, not '1,009\.81'"):
+        read(tmp_path, rows)
+
+
+def test_a_column_that_is_there_twice_is_not_chosen_from(tmp_path):
+    with pytest.raises(FormatError, match="column 'ax' is there twice"):
+        read(tmp_path, [f"{row},0" for row in rows_of(50)], f"{HEAD},ax")

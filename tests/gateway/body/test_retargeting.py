@@ -177,7 +177,7 @@ def test_wrong_names_are_named(change, message):
 
 def test_a_robot_file_is_read_with_its_urdf(tmp_path):
     (tmp_path / "arm.yaml").write_text("{urdf: arm.urdf, base: thorax, links: {tool0: right_hand}}")
-    with pytest.raises(SettingsError, match="cannot be read"):
+    with pytest.raises(SettingsError, match="no such file"):
         load_robot(str(tmp_path / "arm.yaml"), BODY)
     (tmp_path / "arm.urdf").write_text(ARM.read_text())
     robot = load_robot(str(tmp_path / "arm.yaml"), BODY)

@@ -143,7 +143,7 @@ async def test_a_node_of_ros_2_gets_joint_states_and_the_base(urdf, unused_port)
 
 async def test_a_robot_that_there_is_not_ends_the_start_with_a_remedy():
     settings = OutputsSettings.model_validate({"retarget": {"robot": "icub", "urdf": "none.urdf"}})
-    with pytest.raises(OutputError, match=r"outputs\.retarget: none\.urdf: the robot's URDF cannot be read"):
+    with pytest.raises(OutputError, match=r"outputs\.retarget: none\.urdf: no such file"):
         await SideOutputs(settings, SUIT.skeleton, "lab", 100.0).open()
     with pytest.raises(ValidationError, match="robot"):
         OutputsSettings.model_validate({"retarget": {}})

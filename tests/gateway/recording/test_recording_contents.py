@@ -224,6 +224,6 @@ def test_a_configuration_that_cannot_be_is_said_in_a_line(record):
         **meta.attachments,
         "gateway.yaml": json.dumps(plain | {"reconstructor": "magic"}).encode(),
     }
-    with pytest.raises(SettingsError, match=r"'reconstructor': .*no such reconstructor") as error:
+    with pytest.raises(SettingsError, match=r"'reconstructor' is 'magic': .*no such reconstructor") as error:
         _ = meta.settings
     assert "\n" not in str(error.value)
