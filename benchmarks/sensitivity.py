@@ -93,20 +93,12 @@ def _without_second_order() -> None:
 
 def _without_unaided() -> None:
     @compiled
-    def unaided_row(
-        now: SegmentWork, segment: Segment, world: World, sharing: int, tuning: Tuning, dt: float
+    def speed_row(
+        now: SegmentWork, segment: Segment, world: World, look: float, sharing: int, tuning: Tuning
     ) -> None:
         return
 
-    unaided.unaided_row = unaided_row
-
-
-def _without_lasting_tilts() -> None:
-    @compiled
-    def inflate_common_tilt(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-        return
-
-    unaided.inflate_common_tilt = inflate_common_tilt
+    unaided.speed_row = speed_row
 
 
 def _without_stance() -> None:
@@ -145,13 +137,10 @@ RULES = {
         "a field whose norm or dip is wrong counts less", "D of (31)",
         {"norm_tolerance": ENDLESS, "dip_tolerance": ENDLESS},
     ),
-    "unaided": Rule("mean acceleration of an unaided body", "(39), (40)", patch=_without_unaided),
-    "seen": Rule(
-        "mean accelerations are seen", "(40)", {"acceleration_share": 0.0, "least_acceleration": 0.3}
-    ),
+    "unaided": Rule("speeds of an unaided body are bounded", "(39) to (40)", patch=_without_unaided),
+    "seen": Rule("speeds are seen", "(40a)", {"speed_mean_s": ENDLESS}),
     "taken_back": Rule("headings are taken back", "section 12", {"heading_contradiction": ENDLESS}),
-    "lasting": Rule("what lasts is a tilt", "(40a)", patch=_without_lasting_tilts),
-    "starting": Rule("a start in motion is told by its first second", "(65)", {"starting_share": 0.0}),
+    "starting": Rule("a start in motion is told by its first sample", "(65)", {"starting_share": 0.0}),
     "zero_rate": Rule("zero rate", "(36)", {"zero_rate_s": ENDLESS}),
     "stance": Rule("zero acceleration", "(37), (38)", patch=_without_stance),
     "defined": Rule("a body's own heading is defined", "(57a)", patch=_without_defined_headings),

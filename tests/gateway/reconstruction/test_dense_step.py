@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from gateway.emulation.fast_arm import sampled
 from gateway.emulation.random_chains import drawn
 from gateway.frames import Clipped, Status, SunSight
-from gateway.reconstruction.inertial.tree import devices, rows, unaided
+from gateway.reconstruction.inertial.tree import devices, rows
 from gateway.reconstruction.inertial.tree import step as tree_step
 from gateway.reconstruction.inertial.tree.reconstructor import JointReconstructor, OutwardReconstructor
 from gateway.reconstruction.inertial.tree.state import Clip, Heading, Started, Validity
@@ -111,9 +111,8 @@ def start_square(body, now, tuning):
     return felt**2 + (tuning.start_arm * (w @ w)) ** 2
 
 
-def shows_acceleration(segment, tuning):
-    tilt = segment.P[0, 0] + segment.P[1, 1]
-    return segment.averages.long_seconds >= tuning.unaided_window_s and tilt <= tuning.aided_tilt**2
+def shows_speed(segment, tuning):
+    return segment.P[0, 0] + segment.P[1, 1] <= tuning.aided_tilt**2
 
 
 class Checked:
@@ -403,22 +402,46 @@ class Checked:
                 beta = (is_now.rate - segment.bias) / v
                 np.testing.assert_allclose((after[1] - before[1])[s, 3:], beta, rtol=1e-6, atol=1e-9 / v)
 
-    def lasting_tilts(self, body, was, state, tuning, work, dt):
-        """(40a): P of all segments of a chain, and C of its edges, grow by the same."""
-        g, window_s = np.linalg.norm(body.world.gravity), tuning.unaided_window_s
-        judges = {}
+    def predict_velocities(self, body, state, tuning, work, dt):
+        """(39), (39a): the velocity hangs on the tilt alone, of which the prediction keeps a part."""
+        was = state.segments.copy()
+        kernels.predict_velocities(body, state, tuning, work, dt)
+        g = np.linalg.norm(body.world.gravity)
         for s, now in enumerate(work.segments):
-            if now.validity == Validity.FORCE and shows_acceleration(was[s], tuning):
+            before, after, t = was[s].velocity, state.segments[s].velocity, was[s].P[:2, :2].trace() / 2.0
+            waited_s = before.waits_s + dt
+            if not now.is_felt or waited_s - dt > tuning.longest_bridge_s or t == 0.0:
+                continue
+            self.compared["velocity"] += 1
+            old, noise = now.tilt_before, now.density * dt
+            if now.validity < Validity.RATE and 0.0 < was[s].gap.seconds <= tuning.longest_bridge_s:
+                old, noise = t, 0.0  # until it is bridged
+            both = old + 0.5 * (t - old - noise)  # covariance of the tilt's error before with that after
+            variance = before.variance + (g * before.tilted_s) ** 2 * old
+            regression = g * before.tilted_s * np.clip(both / t, 0.0, 1.0) / g
+            left = max(variance - (g * regression) ** 2 * t, before.variance)
+            missed = was[s].felt_square * before.waits_s**2
+            left += tuning.force_bias**2 * tuning.unaided_memory_s * waited_s + missed
+            assert after.tilted_s == pytest.approx(regression + waited_s)
+            assert after.variance == pytest.approx(left, rel=1e-6)
+            f = was[s].R @ (now.specific_force - was[s].force_bias)
+            assert_close(after.felt, before.felt + waited_s * (f - body.world.at_rest))
+
+    def lasting_tilts(self, body, was, state, tuning, work, dt):
+        """(40b): P of all segments of a chain, and C of its edges, grow by the same."""
+        g, judges = np.linalg.norm(body.world.gravity), {}
+        for s, now in enumerate(work.segments):
+            is_judge = shows_speed(was[s], tuning) and was[s].velocity.tilted_s > 0.0
+            if now.validity == Validity.FORCE and is_judge:
                 judges.setdefault(now.chain, []).append(s)
         for s, now in enumerate(work.segments):
             grown = np.zeros(6)
             if now.chain in judges and not work.segments[now.chain].aided:
-                steadiest = min(judges[now.chain], key=lambda j: state.segments[j].unaided_square)
-                judge, lasting = was[steadiest], state.segments[steadiest].averages.lasting_force
-                square = tuning.acceleration_share * state.segments[steadiest].unaided_square
-                seen = (0.5 * lasting[:2] @ lasting[:2] - square) / g**2
-                over = max(seen - 0.5 * (judge.P[0, 0] + judge.P[1, 1]), 0.0)
-                grown[:2] = over * (1.0 - np.exp(-dt / window_s))
+                j = min(judges[now.chain], key=lambda j: state.segments[j].velocity.square)
+                square, lasting = state.segments[j].velocity.square, state.segments[j].velocity.lasting[:2]
+                seen = 0.5 * lasting @ lasting - square - was[j].velocity.variance
+                over = seen / (g * was[j].velocity.tilted_s) ** 2 - 0.5 * (was[j].P[0, 0] + was[j].P[1, 1])
+                grown[:2] = max(over, 0.0) * (1.0 - np.exp(-dt / tuning.unaided_memory_s))
             assert_close(state.segments[s].P, was[s].P + np.diag(grown))
             p = body.segments[s].parent
             is_shared = body.world.is_tree and p >= 0 and work.segments[p].chain == now.chain
@@ -432,44 +455,40 @@ class Checked:
         for s, now in enumerate(work.segments):
             if now.validity != Validity.FORCE:
                 continue
-            segment, window_s = state.segments[s], tuning.unaided_window_s
-            lasted_s = max(segment.averages.long_seconds, dt)
-            starting = was[s].starting_square * np.exp(-dt / tuning.starting_memory_s)
-            starting = max(starting, unaided.LEAST_SQUARE)
-            assert segment.starting_square == pytest.approx(starting)
-            square = max(tuning.least_acceleration**2, starting)
-            if lasted_s < window_s:
-                square = max(square, (tuning.unaided_speed / lasted_s) ** 2)
-            u, at_rest, tilt = (
-                segment.averages.long_force,
-                body.world.at_rest,
-                segment.P[0, 0] + segment.P[1, 1],
+            segment, velocity, gain = (
+                state.segments[s],
+                was[s].velocity,
+                1.0 - np.exp(-dt / tuning.speed_mean_s),
             )
-            if shows_acceleration(was[s], tuning):
+            tilt, square = segment.P[0, 0] + segment.P[1, 1], velocity.square
+            lasting = velocity.felt
+            if shows_speed(was[s], tuning):
                 self.compared["seen"] += 1
-                gain = 1.0 - np.exp(-dt / tuning.acceleration_memory_s)
-                lasting = was[s].averages.lasting_force + gain * (u - was[s].averages.lasting_force)
-                seen, old = np.mean((u - lasting) ** 2), was[s].unaided_square
-                assert_close(segment.averages.lasting_force, lasting)
-                assert segment.unaided_square == pytest.approx(old + gain * (seen - old))  # (40)
-            else:
-                assert_close(segment.averages.lasting_force, u)
-            gravity = np.zeros((3, 3)), np.zeros(3)
-            if now.bridged_s > tuning.longest_bridge_s and lasted_s == dt:
-                self.compared["after_gap"] += 1
-                gravity = known(segment.P, u, at_rest, segment.felt_square, tuning.huber)  # (71)
-            if not work.segments[now.chain].aided:
-                v = max(square, tuning.acceleration_share * segment.unaided_square)  # (39)
-                v *= window_s / dt * counts[now.chain]
-                row = known(segment.P, u, at_rest, v, tuning.huber)
-                self.told("unaided", work, before, s, (row[0] + gravity[0], row[1] + gravity[1]))
+                lasting = velocity.lasting + gain * (velocity.felt - velocity.lasting)
+                square += gain * (np.mean((velocity.felt - lasting)[:2] ** 2) - square)  # (40a)
+            assert_close(segment.velocity.lasting, lasting)
+            assert segment.velocity.square == pytest.approx(square)
+            if velocity.tilted_s == 0.0:
+                if now.bridged_s > tuning.longest_bridge_s:
+                    self.compared["after_gap"] += 1
+                    u, v = segment.averages.last_force, segment.felt_square  # (71)
+                    row = known(segment.P, u, body.world.at_rest, v, tuning.huber)
+                    self.told("gravity", work, before, s, row)
                 continue
-            if tilt > tuning.unsettled_tilt**2:
-                v = square * window_s / dt
-                row = known(segment.P, u, at_rest, v, tuning.huber)
-                self.told("starting", work, before, s, (row[0] + gravity[0], row[1] + gravity[1]))
-            elif gravity[0].any():
-                self.told("gravity", work, before, s, gravity)
+            look = max(square, tuning.least_speed**2) * tuning.unaided_memory_s / dt
+            # given the tilt, a scalar Kalman filter that sees a velocity of 0
+            kept = 1.0 - velocity.variance / (velocity.variance + look)
+            assert_close(segment.velocity.felt, kept * velocity.felt)
+            assert segment.velocity.tilted_s == pytest.approx(kept * velocity.tilted_s)
+            assert segment.velocity.variance == pytest.approx(kept * velocity.variance)
+            is_aided = work.segments[now.chain].aided
+            if not is_aided or tilt > tuning.unsettled_tilt**2:
+                u = body.world.at_rest + velocity.felt / velocity.tilted_s
+                v = (velocity.variance + look) / velocity.tilted_s**2  # (40)
+                row = known(
+                    segment.P, u, body.world.at_rest, v * (1 if is_aided else counts[now.chain]), tuning.huber
+                )
+                self.told("starting" if is_aided else "unaided", work, before, s, row)
 
     def follow_sun(self, body, state, tuning, work, dt):
         before, was, e = own(work), state.segments.copy(), work.shared.sun.copy()
@@ -562,6 +581,10 @@ class Checked:
                 continue
             E = Rotation.from_rotvec(turn).as_matrix()
             np.testing.assert_allclose(state.segments[s].R, E @ was[s].R, atol=1e-12)
+            felt, rest = was[s].velocity, body.world.at_rest
+            for name in ("felt", "lasting"):
+                turned = E @ felt[name] + felt.tilted_s * (E @ rest - rest)  # (39b)
+                assert_close(state.segments[s].velocity[name], turned)
             by_field = turn[2]
             if np.isfinite(m.sum()):
                 by_field = np.angle(complex(*(E @ m)[:2]) * np.conj(complex(*m[:2])))
@@ -591,7 +614,8 @@ class Checked:
             P = np.diag([tilt, tilt, tuning.unknown_heading**2] + [tuning.bias**2] * 3)  # (63)
             assert_close(segment.P, P)
             assert not segment.C.any()
-            assert segment.starting_square == pytest.approx(tuning.starting_share * moved)  # (65)
+            speed = max(tuning.unaided_speed**2, tuning.starting_share * moved * tuning.unaided_memory_s**2)
+            assert segment.velocity.square == pytest.approx(speed)  # (65)
 
     def fixed_row(self, body, state, tuning, work, d, dt):
         mount, device = body.devices[d], state.devices[d].copy()
@@ -755,7 +779,8 @@ class Checked:
 
 CHECKED = {
     tree_step: (
-        "predict", "average", "start_segments", "follow_sun", "stance_rows", "unaided_rows", "zero_rate_rows",
+        "predict", "average", "predict_velocities", "start_segments", "follow_sun", "stance_rows",
+        "unaided_rows", "zero_rate_rows",
         "update_tree", "update_outward", "note_corrections", "define_headings", "follow_field",
         "turn_segments",
     ),
@@ -778,6 +803,7 @@ LEAST = {
     "fixed_point": 150, "pair": 60, "device": 3, "open_device": 50, "stance": 250, "zero_rate_watch": 4000,
     "zero_rate": 1000, "unaided": 40, "seen": 500, "starting": 40, "sun": 60, "corrections": 20,
     "compass": 4000, "compass_turn": 4000, "clipped": 300, "made_up": 6, "after_gap": 3,
+    "velocity": 4000,
 }  # fmt: skip
 """How often each has to be compared over the chains: a reference that is hardly asked guards nothing."""
 UPDATES = {

@@ -48,8 +48,9 @@ def wrongly_turned(state, angle):
         segments["R"][s] = turn @ segments["R"][s]
         averages = segments["averages"]
         averages["lever_arm_matrix"][s] = turn @ averages["lever_arm_matrix"][s]
-        for name in ("force", "last_force", "long_force", "lasting_force"):
+        for name in ("force", "last_force"):
             averages[name][s] = turn @ averages[name][s]
+        segments["velocity"]["felt"][s] = turn @ segments["velocity"]["felt"][s]
     for name in ("along", "across", "length", "seconds"):  # what has shown it right is not to be had
         segments["heading_sums"][name][TURNED] = 0.0
     return state | {"segments": segments}

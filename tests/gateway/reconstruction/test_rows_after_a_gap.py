@@ -9,28 +9,26 @@ from gateway.reconstruction.inertial.tree import rows as tree_rows
 from gateway.reconstruction.inertial.tree.prediction import average
 from gateway.reconstruction.inertial.tree.state import Validity, chain_body, initial_state, work_space
 from gateway.reconstruction.inertial.tree.tuning import tuning
-from gateway.reconstruction.inertial.tree.unaided import unaided_row
+from gateway.reconstruction.inertial.tree.unaided import speed_row
 
 DT, TUNING = 0.01, tuning()
 BODY = chain_body(fast_arm(), uses_field=False)
 N = len(BODY.segments)
 
 
-def information_of_a_mean_over(seconds):
-    """Of an unaided row about tilt, rad⁻²: the mean specific force is gravity."""
-    segment, now = initial_state(N, 1).segments[0], work_space(N).segments[0]
-    segment.averages.long_seconds = seconds
-    segment.unaided_square = (TUNING.unaided_speed / TUNING.unaided_window_s) ** 2 / TUNING.acceleration_share
-    segment.averages.long_force[...] = BODY.world.at_rest
-    unaided_row(now, segment, BODY.world, 1, TUNING, DT)
+def information_of_a_velocity_since(seconds):
+    """Of an unaided row about tilt, rad⁻², after a module has not moved for so long."""
+    state, work = initial_state(1, 1), work_space(1)
+    segment, now = state.segments[0], work.segments[0]
+    segment.velocity.tilted_s, segment.velocity.variance = seconds, TUNING.unaided_speed**2
+    speed_row(now, segment, BODY.world, 100.0 * TUNING.unaided_speed**2, 1, TUNING)
     return now.evidence.own[0, 0]
 
 
-def test_the_shorter_a_mean_has_lasted_the_less_it_tells_where_down_is():
-    whole = information_of_a_mean_over(TUNING.unaided_window_s)
-    assert information_of_a_mean_over(10.0) == pytest.approx(whole)
-    assert information_of_a_mean_over(0.1) == pytest.approx(0.01 * whole)
-    assert information_of_a_mean_over(0.0) == pytest.approx(DT**2 * whole)
+def test_the_longer_a_velocity_has_been_felt_the_more_it_tells_where_down_is():
+    whole = information_of_a_velocity_since(1.0)
+    assert information_of_a_velocity_since(10.0) == pytest.approx(100.0 * whole)
+    assert information_of_a_velocity_since(0.1) == pytest.approx(0.01 * whole)
 
 
 @pytest.mark.parametrize("fresh_s", [0.02, 10.0])

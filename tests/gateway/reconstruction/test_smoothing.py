@@ -112,8 +112,9 @@ def test_the_way_back_knows_that_it_begins_in_motion():
     moving.averages.last_force[:] = 6.0, 0.0, 12.0
     moving.rate[:] = 0.0, 5.0, 0.0
     back = turned_back(state, tuning(), GRAVITY)
-    assert back.segments[0].starting_square == 0.0
-    assert back.segments[1].starting_square > 1.0
+    usual = tuning().unaided_speed ** 2
+    assert back.segments[0].velocity.square == usual
+    assert back.segments[1].velocity.square > 2.0 * usual
 
 
 def test_a_method_that_cannot_go_backward_says_so(tmp_path):

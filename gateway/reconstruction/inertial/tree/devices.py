@@ -99,7 +99,7 @@ def has_reported(device: Device, tuning: Tuning) -> bool:
 @compiled
 def is_informative(device: Device, tuning: Tuning) -> bool:
     """Return whether the device shows the mean acceleration better than (39), that it is small, does."""
-    return bool(device.fit_density < tuning.unaided_speed**2 / tuning.unaided_window_s)
+    return bool(device.fit_density < tuning.unaided_speed**2 / tuning.unaided_memory_s)
 
 
 @compiled

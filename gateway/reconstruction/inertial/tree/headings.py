@@ -164,12 +164,14 @@ def define_headings(body: Body, state: State, tuning: Tuning) -> None:
     and turn the body: a tree does not keep what the two sides of a segment have in common.
     """
     links, segments = body.segments, state.segments
+    unknown = 0.5 * tuning.unknown_heading**2
     for root in range(len(links)):
-        if body.world.is_tree == 1 and links[root].parent < 0 and links[root].heading_observable == 0:
+        if body.world.is_tree == 0 or links[root].parent >= 0 or links[root].heading_observable == 1:
+            continue
+        if segments[root].P[2, 2] * len(links) > unknown:  # else it is defined, however many have been found
             n = _found(links, segments, root)
-            unknown = 0.5 * tuning.unknown_heading**2 / max(n, 1)
-            if n > 1 and segments[root].P[2, 2] > unknown:
-                _define_heading(links, segments, root, n, unknown)
+            if n > 1 and segments[root].P[2, 2] > unknown / n:
+                _define_heading(links, segments, root, n, unknown / n)
 
 
 @compiled

@@ -18,8 +18,13 @@ from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial.tree.clipping import hold_axes, make_up_clip, turn_as_clipped
 from gateway.reconstruction.inertial.tree.compass import turn_compass
-from gateway.reconstruction.inertial.tree.rates import begin_gap, gyroscope_density, mean_rate_into
-from gateway.reconstruction.inertial.tree.start import turn_heading_sums
+from gateway.reconstruction.inertial.tree.rates import (
+    begin_gap,
+    gyroscope_density,
+    is_short_gap,
+    mean_rate_into,
+)
+from gateway.reconstruction.inertial.tree.start import tilt_square, turn_heading_sums
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Clip,
@@ -35,6 +40,7 @@ from gateway.reconstruction.inertial.tree.state import (
     Work,
 )
 from gateway.reconstruction.inertial.tree.tuning import Tuning
+from gateway.reconstruction.inertial.tree.velocity import turn_velocity
 
 OBSERVED = Heading.OBSERVED.value
 AIR_VELOCITY = Quantity.AIR_VELOCITY.value
@@ -57,6 +63,7 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
         if segment.started == NOT_STARTED:
             continue
         rotation_matrix.copy_into(now.before, segment.R)
+        now.tilt_before = tilt_square(segment)
         if now.validity >= RATE:
             density = _turn_as_measured(segment, now, tuning, dt)
         elif now.validity == SATURATED_RATE:
@@ -235,8 +242,7 @@ def turn_segments(body: Body, state: State, work: Work) -> None:
             rotation_matrix.turn_columns(E, averages.lever_arm_matrix)
             rotation_matrix.turn(E, averages.force)
             rotation_matrix.turn(E, averages.last_force)
-            rotation_matrix.turn(E, averages.long_force)
-            rotation_matrix.turn(E, averages.lasting_force)
+            turn_velocity(E, segment.velocity, body.world)
     for d in range(len(body.devices)):
         mount, device = body.devices[d], state.devices[d]
         now = works[mount.segment]
@@ -290,16 +296,11 @@ def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
     for s in range(len(segments)):
         segment, now = segments[s], works[s]
         averages = segment.averages
-        averages.long_waits_s += dt
-        if now.is_felt:
-            _turn_into_world(segment, now, work.shared)
-            _average_long(segment, work.shared, tuning, dt)
-        elif now.validity > NOTHING:
-            averages.long_seconds = 0.0  # what it felt at the end of its range may have been any force
         if now.validity < FORCE:
             if not is_short_gap(segment, now, tuning):
                 averages.seconds = 0.0
             continue
+        _turn_into_world(segment, now, work.shared)
         is_fresh = averages.seconds == 0.0
         is_bridged = 0.0 < now.bridged_s <= tuning.longest_bridge_s and not is_fresh
         watch_vibration(segment.vibration, work.shared.force, is_fresh or is_bridged, tuning, dt)
@@ -312,30 +313,6 @@ def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
         _average_forces(segment, work.shared, gain / filled)
         _average_lever_arm_matrix(segment, now, work.shared, gain / dt / filled, gain)
         averages.seconds += FIRST_SAMPLE_S if is_fresh else dt
-
-
-@compiled
-def _average_long(segment: Segment, shared: SharedWork, tuning: Tuning, dt: float) -> None:
-    """Update the mean of R f over the unaided window: exactly a mean until the window has passed.
-
-    It goes on while a gyroscope is at the end of its range, and over gaps in which forces change evenly.
-    """
-    averages, lasted_s = segment.averages, segment.averages.long_waits_s
-    is_fresh = averages.long_seconds == 0.0 or lasted_s - dt > tuning.longest_bridge_s
-    averages.long_waits_s = 0.0
-    if is_fresh:
-        averages.long_seconds = 0.0
-    gain = 1.0 - math.exp(-lasted_s / tuning.unaided_window_s)
-    gain = max(gain, lasted_s / (averages.long_seconds + lasted_s))
-    for i in range(3):
-        averages.long_force[i] += gain * (shared.force_world[i] - averages.long_force[i])
-    averages.long_seconds += FIRST_SAMPLE_S if is_fresh else lasted_s
-
-
-@compiled
-def is_short_gap(segment: Segment, now: SegmentWork, tuning: Tuning) -> bool:
-    """Return whether a module has no rate, but so briefly that its averages are bridged."""
-    return bool(now.validity < RATE and 0.0 < segment.gap.seconds <= tuning.longest_bridge_s)
 
 
 @compiled

@@ -6,8 +6,10 @@ import math
 
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import norm
-from gateway.reconstruction.inertial.tree.state import Segment, SegmentWork
+from gateway.reconstruction.inertial.tree.state import Segment, SegmentWork, Validity
 from gateway.reconstruction.inertial.tree.tuning import Tuning
+
+RATE = Validity.RATE.value
 
 
 @compiled
@@ -31,6 +33,12 @@ def mean_rate_into(segment: Segment, now: SegmentWork, dt: float) -> None:
         if math.isfinite(slope[i]):
             # (2)  … less the trapezoid's error, by how the rate's slope has changed
             w[i] -= (rate[i] - last[i] - slope[i] * dt) / 12.0
+
+
+@compiled
+def is_short_gap(segment: Segment, now: SegmentWork, tuning: Tuning) -> bool:
+    """Return whether a module has no rate, but so briefly that its averages are bridged."""
+    return bool(now.validity < RATE and 0.0 < segment.gap.seconds <= tuning.longest_bridge_s)
 
 
 @compiled

@@ -42,7 +42,7 @@ from gateway.reconstruction.inertial.tree.step import (
 from gateway.reconstruction.inertial.tree.tuning import Tuning, tuning
 from gateway.reconstruction.stacked_frames import Poses, StackedFrames, stacked
 
-STATE_VERSION = 13
+STATE_VERSION = 14
 """Of what ``state`` returns. 1 had an array for every quantity, 2 a clock that began at −1, 3 other names."""
 _FRAMES_AT_ONCE = 16
 """Live frames that room is made for at once."""

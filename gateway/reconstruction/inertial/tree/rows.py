@@ -22,9 +22,9 @@ from gateway.reconstruction.inertial.tree.lever_arms import (
 )
 from gateway.reconstruction.inertial.tree.prediction import (
     felt_into,
-    is_short_gap,
     row_inflation,
 )
+from gateway.reconstruction.inertial.tree.rates import is_short_gap
 from gateway.reconstruction.inertial.tree.start import (
     forget_evidence,
     gather_heading,
@@ -345,8 +345,6 @@ def _watch_joint(child: Segment, nis: float, tuning: Tuning, dt: float) -> float
         for i in range(3):
             # what it has shown is taken back: the uncertainty of a start
             child.P[i, i] += tuning.start_heading**2 if i == 2 else tuning.start_tilt**2
-        child.unaided_square = max(
-            child.unaided_square, (tuning.unaided_speed / tuning.unaided_window_s) ** 2
-        )
+        child.velocity.square = max(child.velocity.square, tuning.unaided_speed**2)
     inflation: float = max(1.0, child.joint_nis)
     return inflation

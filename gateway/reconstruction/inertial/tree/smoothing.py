@@ -19,14 +19,14 @@ from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
-from gateway.reconstruction.inertial.tree.start import start_acceleration
+from gateway.reconstruction.inertial.tree.start import start_acceleration, starting_speed_square
 from gateway.reconstruction.inertial.tree.state import State, initial_state
 from gateway.reconstruction.inertial.tree.tuning import Tuning
 from gateway.reconstruction.inertial.tree.update import inverse_3_into
 
 KEPT = (
     "R", "started", "heading", "defined_square", "silent_s", "force_bias", "field_watch", "compass", "sun",
-    "unaided_square", "felt_square", "zero_rate", "aids_s", "joint_nis", "vibration", "corrections",
+    "felt_square", "zero_rate", "aids_s", "joint_nis", "vibration", "corrections",
 )  # fmt: skip
 
 
@@ -69,7 +69,9 @@ def turned_back(state: State, tuning: Tuning, gravity: FloatArray) -> State:
     back["compass"]["settled_s"][...] = 0.0
     for s in range(len(back)):
         force, rate = before[s].averages.last_force, before[s].rate
-        back[s].starting_square = tuning.starting_share * start_acceleration(gravity, force, rate, tuning)
+        starting = starting_speed_square(start_acceleration(gravity, force, rate, tuning), tuning)
+        back[s].velocity.square = max(before[s].velocity.square, starting)
+        back[s].velocity.waits_s = np.inf
     return turned
 
 

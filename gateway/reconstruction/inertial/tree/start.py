@@ -89,16 +89,14 @@ def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning:
     rotation_matrix.copy_into(segment.R, R)
     # (64) a_0²
     moved = start_acceleration(world.gravity, f, w, tuning)
-    # (65) A_0² = 0.1 a_0²
-    segment.starting_square = tuning.starting_share * moved
     # (63) σ_t0² + a_0² / ‖g‖²
     tilt = tuning.start_tilt**2 + moved / dot(world.gravity, world.gravity)
     _start_covariance(segment, min(tilt, tuning.unknown_heading**2), tuning)
     segment.started = STARTED
     segment.heading = UNOBSERVED if link.heading_observable else OBSERVED
-    segment.silent_s, segment.averages.seconds, segment.averages.long_seconds = 0.0, 0.0, 0.0
+    segment.silent_s, segment.averages.seconds, segment.velocity.waits_s = 0.0, 0.0, math.inf
     segment.joint_nis = 1.0
-    segment.unaided_square = (tuning.unaided_speed / tuning.unaided_window_s) ** 2
+    segment.velocity.square = starting_speed_square(moved, tuning)
     segment.felt_square = tuning.start_tilt**2 * dot(world.gravity, world.gravity)
     _start_watches(segment)
     for i in range(3):
@@ -160,6 +158,15 @@ def start_acceleration(gravity: FloatArray, f: FloatArray, w: FloatArray, tuning
     turning = dot(w, w) * tuning.start_arm
     square: float = (norm(f) - norm(gravity)) ** 2 + turning * turning
     return square
+
+
+@compiled
+def starting_speed_square(moved: float, tuning: Tuning) -> float:
+    """Return the mean square speed, (m/s)², that the acceleration of a first sample lets expect, (65).
+
+    moved: a_0² of (64), (m/s²)².
+    """
+    return float(max(tuning.unaided_speed**2, tuning.starting_share * moved * tuning.unaided_memory_s**2))
 
 
 # Headings that nothing has shown yet

@@ -107,10 +107,17 @@ class Averages(Record):
     last_force: Vector  # R f of the frame before
     lever_arm_matrix: Matrix  # of R [ω]×, rad/s
     seconds: float  # since these were begun
-    long_force: Vector  # of R f, over the unaided window
-    lasting_force: Vector  # of that, over several windows
-    long_seconds: float  # since that was begun
-    long_waits_s: float  # since the last specific force of it
+
+
+class Velocity(Record):
+    """The velocity of a module by what it feels; see ``velocity``."""
+
+    felt: Vector  # world axes, m/s
+    lasting: Vector  # mean of that over some seconds
+    tilted_s: float  # for how long the tilt has been off as it is now, as far as that is in it
+    variance: float  # of a component, but for that, (m/s)²
+    square: float  # mean square of a horizontal component, as seen lately, (m/s)²
+    waits_s: float  # since the last specific force; infinite: it begins anew with the next
 
 
 class LeverArms(Record):
@@ -244,6 +251,7 @@ class Segment(Record):
     rate: Vector  # last measured, bias included, rad/s
     rate_slope: Vector  # its change over the last step, rad/s²; NaN: not known
     averages: Averages
+    velocity: Velocity
     arms: LeverArms
     joint_nis: float  # of the joint to the parent: mean of its residual's square over what is expected
     field_watch: FieldWatch
@@ -252,9 +260,7 @@ class Segment(Record):
     sun: SunSums
     zero_rate: ZeroRateWatch
     aids_s: float  # for how much longer a foot that has stood aids its chain
-    unaided_square: float  # mean square acceleration over the unaided window, as seen lately, (m/s²)²
-    felt_square: float  # the same of single samples
-    starting_square: float  # the same as a start in motion lets expect, less and less with time
+    felt_square: float  # mean square acceleration of single samples, as seen lately, (m/s²)²
     vibration: Vibration
     corrections: Corrections
 
@@ -339,17 +345,19 @@ class SegmentWork(Record):
     stood_s: float  # for how long it has not accelerated, 0: it does
     mean_rate: Vector  # that turns it from the frame before to this one, rad/s
     before: Matrix  # orientation of the frame before
+    tilt_before: float  # variance of a component of its tilt before the prediction, rad²
     bridged_s: float  # length of the gap that this sample ends and that can be bridged; 0: none
     bridge: Vector  # how it has turned since the last sample before that, segment axes, rad
     K: Matrix  # filtered lever-arm matrix, 1/s², world
     motion: float  # ‖[ω̇, ω]‖, 1/s²
+    mean_force: Vector  # specific force over the time that a velocity has come from, m/s²
     turn: Vector  # world rotation that it is given, rad
     rotation: Matrix  # of that
     rolling: float  # rad/s²; see ``unaided.note_rolling``
     aided: int  # 1: a device or the ground shows what it accelerates by
     chain: int  # first segment of the chain that it belongs to
     lasting_tilt: float  # of a first segment: what its chain's common tilt is less certain by, rad²
-    steadiest_square: float  # mean square acceleration of the segment that shows that, (m/s²)²
+    steadiest_square: float  # mean square speed of the segment that shows that, (m/s)²
     sharing: int  # of a first segment: how many of its chain have a sample
     is_before: int  # 1: turns back, since that segment is known better
     is_beyond: int  # 1: turns with the segment whose heading was shown

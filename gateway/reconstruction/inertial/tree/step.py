@@ -57,6 +57,7 @@ from gateway.reconstruction.inertial.tree.unaided import (
     zero_rate_rows,
 )
 from gateway.reconstruction.inertial.tree.update import clear, update_outward, update_tree
+from gateway.reconstruction.inertial.tree.velocity import predict_velocities
 
 AIR_VELOCITY, FIXED_POINT = Quantity.AIR_VELOCITY.value, Quantity.FIXED_POINT.value
 NOT_STARTED, STARTED = Started.NO.value, Started.YES.value
@@ -267,8 +268,9 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
     start_segments(body, state, tuning, work)
     lose_headings(body.segments, state.segments, tuning)
 
-    # section 4: averages
+    # section 4: averages; section 9: velocities
     average(state, tuning, work, dt)
+    predict_velocities(body, state, tuning, work, dt)
 
     # rows. Section 8: the sun
     _forget(work)

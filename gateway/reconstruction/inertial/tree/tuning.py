@@ -125,12 +125,11 @@ class Tuning(Record):
         0.3, "m", "of a module from what it turns about when it begins", "length of a limb"
     )
     starting_share: float = constant(
-        0.1,
+        0.02,
         "",
-        "of the square of what a first sample shows of acceleration: lasts over the unaided window",
-        "random chains",
+        "of the square of what a first sample shows of acceleration: times the memory of speeds, a speed's",
+        "chains and rings that begin in motion",
     )
-    starting_memory_s: float = constant(2.0, "s", "for how long that is expected", "random chains")
     device_start_s: float = constant(
         2.0, "s", "so long a device may take to say its first", "satellite receivers that are warm"
     )
@@ -278,21 +277,16 @@ class Tuning(Record):
     unaided_speed: float = constant(
         0.3, "m/s", "how fast a body moves whose acceleration nothing tells", MOTION
     )
-    unaided_window_s: float = constant(
-        1.0, "s", "over it the mean acceleration is that speed over the window", MOTION
-    )
-    aided_tilt: float = constant(
-        0.15, "rad", "an inclination less sure than that tells no mean acceleration", JUDGED
-    )
+    unaided_memory_s: float = constant(1.0, "s", "for how long a speed stays about the same", MOTION)
+    aided_tilt: float = constant(0.15, "rad", "an inclination less sure than that tells no speed", JUDGED)
     unsettled_tilt: float = constant(
         0.5,
         "rad",
         "an inclination less sure than that is helped by gravity, even in an aided chain",
         "random chains",
     )
-    least_acceleration: float = constant(0.05, "m/s²", "of the mean over the window at the least", "swaying")
-    acceleration_share: float = constant(0.6, "", "of the mean square that has been seen lately", JUDGED)
-    acceleration_memory_s: float = constant(3.0, "s", "over which that mean is taken", JUDGED)
+    least_speed: float = constant(0.05, "m/s", "of a body at the least", "swaying")
+    speed_mean_s: float = constant(3.0, "s", "over which the squares of speeds are averaged", JUDGED)
 
     # local devices
     local_window_s: float = constant(

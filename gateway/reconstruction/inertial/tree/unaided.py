@@ -10,7 +10,6 @@ import math
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, horizontal_square, norm
-from gateway.reconstruction.inertial.tree.prediction import FIRST_SAMPLE_S
 from gateway.reconstruction.inertial.tree.rows import known_row
 from gateway.reconstruction.inertial.tree.start import tilt_square
 from gateway.reconstruction.inertial.tree.state import (
@@ -24,10 +23,9 @@ from gateway.reconstruction.inertial.tree.state import (
     ZeroRateWatch,
 )
 from gateway.reconstruction.inertial.tree.tuning import Tuning
+from gateway.reconstruction.inertial.tree.velocity import learn_velocity
 
 FORCE, NOTHING = Validity.FORCE.value, Validity.NOTHING.value
-LEAST_SQUARE = 1e-9
-"""(m/s²)²: nothing, but no number so small that processors are slow with it."""
 
 
 # Zero rate
@@ -131,67 +129,68 @@ def stance_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float)
             now.aided = 1
 
 
-# Unaided: over a while the mean acceleration is small
+# Unaided: speeds are bounded
 
 
 @compiled
 def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Add the rows (39) that mean accelerations are small.
+    """Add the rows (40) that speeds are small.
 
     The segments of an unaided chain share the information of one row, which averages the errors of their
-    accelerometers. A segment of an aided chain has a weak row of its own until its tilt is settled.
+    accelerometers. A segment of an aided chain has a row of its own until its tilt is settled.
     """
-    decay = math.exp(-dt / tuning.starting_memory_s)
     segments, works = state.segments, work.segments
     for s in range(len(works)):
-        segment, now = segments[s], works[s]
-        now.sharing, now.lasting_tilt, now.steadiest_square = 0, 0.0, math.inf
-        segment.starting_square = max(segment.starting_square * decay, LEAST_SQUARE)
-        if now.validity == FORCE:
-            note_acceleration(segment, body.world, tuning, dt)
-    inflate_common_tilt(body, state, tuning, work, dt)
+        works[s].sharing, works[s].lasting_tilt, works[s].steadiest_square = 0, 0.0, math.inf
     for s in range(len(works)):
         if works[s].validity == FORCE:
             works[works[s].chain].sharing += 1
+            note_speed(segments[s], body.world, tuning, dt)
+    inflate_common_tilt(body, state, tuning, work, dt)
     for s in range(len(works)):
         segment, now = segments[s], works[s]
-        first = works[now.chain]
+        first, velocity = works[now.chain], segment.velocity
         if now.validity < FORCE:
             continue
-        if now.bridged_s > tuning.longest_bridge_s and segment.averages.long_seconds <= FIRST_SAMPLE_S:
-            # (71) v = A_f²: one look at gravity, as good as single samples have been lately
-            felt = segment.averages.long_force
-            known_row(now, segment, felt, body.world.at_rest, segment.felt_square, tuning)
-        if first.aided:
-            starting_row(now, segment, body.world, tuning, dt)
-        else:
-            unaided_row(now, segment, body.world, first.sharing, tuning, dt)
+        if velocity.tilted_s == 0.0:
+            if now.bridged_s > tuning.longest_bridge_s:
+                # (71) v = A_f²: one look at gravity, as good as single samples have been lately
+                felt = segment.averages.last_force
+                known_row(now, segment, felt, body.world.at_rest, segment.felt_square, tuning)
+            continue
+        # (40) s² T_u / Δt
+        look = max(velocity.square, tuning.least_speed**2) * tuning.unaided_memory_s / dt
+        if not first.aided:
+            speed_row(now, segment, body.world, look, first.sharing, tuning)
+        elif segment.P[0, 0] + segment.P[1, 1] > tuning.unsettled_tilt**2:
+            speed_row(now, segment, body.world, look, 1, tuning)
+        learn_velocity(velocity, look)
 
 
 @compiled
-def _shows_acceleration(segment: Segment, tuning: Tuning) -> bool:
-    """Return whether what a segment feels beside gravity is acceleration: its tilt is known well enough."""
-    is_known = segment.P[0, 0] + segment.P[1, 1] <= tuning.aided_tilt**2
-    return bool(is_known and segment.averages.long_seconds >= tuning.unaided_window_s)
+def _shows_speed(segment: Segment, tuning: Tuning) -> bool:
+    """Return whether the tilt is known well enough that what is felt is a velocity."""
+    return bool(segment.P[0, 0] + segment.P[1, 1] <= tuning.aided_tilt**2)
 
 
 @compiled
 def inflate_common_tilt(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Make the tilt that an unaided chain has in common as uncertain as its lasting acceleration says, (40a).
+    """Make the tilt that an unaided chain has in common as uncertain as its lasting velocity says, (40b).
 
-    What its steadiest segment feels beside gravity for longer than it accelerates is a tilt. Joints do not
+    A velocity that its steadiest segment feels for longer than it keeps one is a tilt. Joints do not
     show it: it is the same for all segments, so what is known of one against another stays as it is.
     """
     segments, works, gravity = state.segments, work.segments, norm(body.world.gravity)
     for s in range(len(works)):
-        segment, now = segments[s], works[s]
-        first, square = works[now.chain], tuning.acceleration_share * segment.unaided_square
-        if now.validity == FORCE and _shows_acceleration(segment, tuning) and square < first.steadiest_square:
-            lasting = 0.5 * horizontal_square(segment.averages.lasting_force) - square
+        segment, now, velocity = segments[s], works[s], segments[s].velocity
+        first = works[now.chain]
+        is_judge = now.validity == FORCE and _shows_speed(segment, tuning) and velocity.tilted_s > 0.0
+        if is_judge and velocity.square < first.steadiest_square:
+            lasting = 0.5 * horizontal_square(velocity.lasting) - velocity.square - velocity.variance
             known = tilt_square(segment)
-            first.steadiest_square = square
-            first.lasting_tilt = max(lasting / gravity**2 - known, 0.0)
-    gain = 1.0 - math.exp(-dt / tuning.unaided_window_s)
+            first.steadiest_square = velocity.square
+            first.lasting_tilt = max(lasting / (gravity * velocity.tilted_s) ** 2 - known, 0.0)
+    gain = 1.0 - math.exp(-dt / tuning.unaided_memory_s)
     for s in range(len(works)):
         segment, now, p = segments[s], works[s], body.segments[s].parent
         first = works[now.chain]
@@ -204,66 +203,40 @@ def inflate_common_tilt(body: Body, state: State, tuning: Tuning, work: Work, dt
 
 
 @compiled
-def note_acceleration(segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
-    """Update A_1² of (40) and A_f² of (71), (m/s²)², mean squares of acceleration, aided or not.
+def note_speed(segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
+    """Update s² of (40a), (m/s)², and A_f² of (71), (m/s²)², aided or not, while the tilt is known.
 
-    It counts only while the tilt is known. A tilt that is wrong all the same looks like an acceleration that
-    lasts, and no body's acceleration does: what counts is what differs from a mean over several windows.
+    A tilt that is wrong all the same looks like a velocity that lasts: what counts is what differs from a
+    mean over some seconds.
     """
-    averages = segment.averages
-    if not _shows_acceleration(segment, tuning):
+    if not _shows_speed(segment, tuning):
         for i in range(3):
-            averages.lasting_force[i] = averages.long_force[i]
+            segment.velocity.lasting[i] = segment.velocity.felt[i]
         return
-    square, felt = 0.0, 0.0
-    gain = 1.0 - math.exp(-dt / tuning.acceleration_memory_s)
+    gain, felt = 1.0 - math.exp(-dt / tuning.speed_mean_s), 0.0
     for i in range(3):
-        averages.lasting_force[i] += gain * (averages.long_force[i] - averages.lasting_force[i])
-        square += (averages.long_force[i] - averages.lasting_force[i]) ** 2 / 3.0
-        felt += (averages.last_force[i] - world.at_rest[i]) ** 2 / 3.0
-    # (40)
-    segment.unaided_square += gain * (square - segment.unaided_square)
+        felt += (segment.averages.last_force[i] - world.at_rest[i]) ** 2 / 3.0
     segment.felt_square += gain * (felt - segment.felt_square)
+    velocity, square = segment.velocity, 0.0
+    for i in range(3):
+        velocity.lasting[i] += gain * (velocity.felt[i] - velocity.lasting[i])
+    for i in range(2):
+        square += 0.5 * (velocity.felt[i] - velocity.lasting[i]) ** 2
+    velocity.square += gain * (square - velocity.square)
 
 
 @compiled
-def unaided_row(
-    now: SegmentWork, segment: Segment, world: World, sharing: int, tuning: Tuning, dt: float
+def speed_row(
+    now: SegmentWork, segment: Segment, world: World, look: float, sharing: int, tuning: Tuning
 ) -> None:
-    """Add the row that the mean acceleration of an unaided segment is small, equation (39).
+    """Add the row (40): a velocity that a segment only seems to have is gravity along a tilt.
 
-    A² is at least a share of the mean square acceleration that was seen while the tilt was known and, over a
-    time shorter than the window, as much larger as speeds are the same. An error stays for the window.
-    sharing: number of segments that move together and have such a row each.
+    look: variance of the velocity that it may have, of a component, (m/s)². sharing: number of segments that
+    move together and have such a row each.
     """
-    # (39) A²
-    square = max(_mean_square(segment, tuning, dt), tuning.acceleration_share * segment.unaided_square)
-    # (39) v = A² T_u / Δt n_c
-    variance = square * tuning.unaided_window_s / dt * sharing
-    known_row(now, segment, segment.averages.long_force, world.at_rest, variance, tuning)
-
-
-@compiled
-def starting_row(now: SegmentWork, segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
-    """Add the row (39) without A_1 to a segment of an aided chain, as long as its tilt is hardly known.
-
-    That is so after a start in mid-motion: joints show tilts only one after the other from where the chain is
-    aided.
-    """
-    if segment.P[0, 0] + segment.P[1, 1] > tuning.unsettled_tilt**2:
-        variance = _mean_square(segment, tuning, dt) * tuning.unaided_window_s / dt
-        known_row(now, segment, segment.averages.long_force, world.at_rest, variance, tuning)
-
-
-@compiled
-def _mean_square(segment: Segment, tuning: Tuning, dt: float) -> float:
-    """Return A² of (39) without A_1, (m/s²)².
-
-    Over a time shorter than the window, as after a gap, it is as much larger as speeds are the same; after a
-    start in motion it is for some time as large as the first sample lets expect.
-    """
-    lasted_s = max(segment.averages.long_seconds, dt)
-    square = max(tuning.least_acceleration**2, segment.starting_square)
-    if lasted_s < tuning.unaided_window_s:
-        square = max(square, (tuning.unaided_speed / lasted_s) ** 2)
-    return square
+    velocity, mean = segment.velocity, now.mean_force
+    # (40) u = −g + v / T
+    for i in range(3):
+        mean[i] = world.at_rest[i] + velocity.felt[i] / velocity.tilted_s
+    variance = (velocity.variance + look) / velocity.tilted_s**2 * sharing
+    known_row(now, segment, mean, world.at_rest, variance, tuning)
