@@ -98,7 +98,7 @@ def has_reported(device: Device, tuning: Tuning) -> bool:
 
 @compiled
 def is_informative(device: Device, tuning: Tuning) -> bool:
-    """Return whether the device shows the mean acceleration better than (39), that it is small, does."""
+    """Return whether the device shows the mean acceleration better than (40) does with a usual speed."""
     return bool(device.fit_density < tuning.unaided_speed**2 / tuning.unaided_memory_s)
 
 
