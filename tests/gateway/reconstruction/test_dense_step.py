@@ -460,7 +460,7 @@ class Checked:
                 was[s].velocity,
                 1.0 - np.exp(-dt / tuning.speed_mean_s),
             )
-            tilt, square = segment.P[0, 0] + segment.P[1, 1], velocity.square
+            square = velocity.square
             lasting = velocity.felt
             if shows_speed(was[s], tuning):
                 self.compared["seen"] += 1
@@ -481,14 +481,9 @@ class Checked:
             assert_close(segment.velocity.felt, kept * velocity.felt)
             assert segment.velocity.tilted_s == pytest.approx(kept * velocity.tilted_s)
             assert segment.velocity.variance == pytest.approx(kept * velocity.variance)
-            is_aided = work.segments[now.chain].aided
-            if not is_aided or tilt > tuning.unsettled_tilt**2:
-                u = body.world.at_rest + velocity.felt / velocity.tilted_s
-                v = (velocity.variance + look) / velocity.tilted_s**2  # (40)
-                row = known(
-                    segment.P, u, body.world.at_rest, v * (1 if is_aided else counts[now.chain]), tuning.huber
-                )
-                self.told("starting" if is_aided else "unaided", work, before, s, row)
+            u = body.world.at_rest + velocity.felt / velocity.tilted_s
+            v = (velocity.variance + look) / velocity.tilted_s**2 * counts[now.chain]  # (40)
+            self.told("unaided", work, before, s, known(segment.P, u, body.world.at_rest, v, tuning.huber))
 
     def follow_sun(self, body, state, tuning, work, dt):
         before, was, e = own(work), state.segments.copy(), work.shared.sun.copy()
@@ -801,7 +796,7 @@ LEAST = {
     "predict": 4000, "coast": 500, "bridge": 20, "average": 4000, "bridged_average": 10, "vibration": 4000,
     "start": 20, "joint_row": 500, "open_joint_row": 1000, "heading": 1000, "joint_arms": 200,
     "fixed_point": 150, "pair": 60, "device": 3, "open_device": 50, "stance": 250, "zero_rate_watch": 4000,
-    "zero_rate": 1000, "unaided": 40, "seen": 500, "starting": 40, "sun": 60, "corrections": 20,
+    "zero_rate": 1000, "unaided": 4000, "seen": 500, "sun": 60, "corrections": 20,
     "compass": 4000, "compass_turn": 4000, "clipped": 300, "made_up": 6, "after_gap": 3,
     "velocity": 4000,
 }  # fmt: skip

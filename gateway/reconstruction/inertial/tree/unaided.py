@@ -134,10 +134,10 @@ def stance_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float)
 
 @compiled
 def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Add the rows (40) that speeds are small.
+    """Add the rows (40) that speeds are small, aided or not.
 
-    The segments of an unaided chain share the information of one row, which averages the errors of their
-    accelerometers. A segment of an aided chain has a row of its own until its tilt is settled.
+    The segments of a chain share the information of one row, which averages the errors of their
+    accelerometers.
     """
     segments, works = state.segments, work.segments
     for s in range(len(works)):
@@ -149,7 +149,7 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
     inflate_common_tilt(body, state, tuning, work, dt)
     for s in range(len(works)):
         segment, now = segments[s], works[s]
-        first, velocity = works[now.chain], segment.velocity
+        velocity = segment.velocity
         if now.validity < FORCE:
             continue
         if velocity.tilted_s == 0.0:
@@ -160,10 +160,7 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
             continue
         # (40) s² T_u / Δt
         look = max(velocity.square, tuning.least_speed**2) * tuning.unaided_memory_s / dt
-        if not first.aided:
-            speed_row(now, segment, body.world, look, first.sharing, tuning)
-        elif segment.P[0, 0] + segment.P[1, 1] > tuning.unsettled_tilt**2:
-            speed_row(now, segment, body.world, look, 1, tuning)
+        speed_row(now, segment, body.world, look, works[now.chain].sharing, tuning)
         learn_velocity(velocity, look)
 
 
