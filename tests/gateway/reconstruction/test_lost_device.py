@@ -99,8 +99,9 @@ def test_sigma_tells_a_lost_device_and_covers_the_inclination_without_it(moved):
         tilt_sigmas.append(of_tilt[:, :, 1])
         q_wb = np.stack([frame.q_wb for frame in found])
         tilts.append(orientation_error(q_wb, moved[0].q_wb).inclination[lost + 200 :])
-    # what is published has the tilt of the accelerometers' lasting errors, too, which a device does not show
-    assert own_tilt_sigmas[1].mean() > 1.15 * own_tilt_sigmas[0].mean()
+    # bounded speeds say most of what the device says of tilts. What is published has the tilt of the
+    # accelerometers' lasting errors, too, which a device does not show
+    assert own_tilt_sigmas[1].mean() > 1.05 * own_tilt_sigmas[0].mean()
     assert tilt_sigmas[1].mean() > 1.05 * tilt_sigmas[0].mean()
     lost_tilt = (tilt_sigmas[1] ** 2).mean() - (tilt_sigmas[0] ** 2).mean()
     told = (sigmas[1] ** 2).mean() - (sigmas[0] ** 2).mean()
