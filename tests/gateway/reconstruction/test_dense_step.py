@@ -482,7 +482,9 @@ class Checked:
             assert segment.velocity.tilted_s == pytest.approx(kept * velocity.tilted_s)
             assert segment.velocity.variance == pytest.approx(kept * velocity.variance)
             u = body.world.at_rest + velocity.felt / velocity.tilted_s
-            v = (velocity.variance + look) / velocity.tilted_s**2 * counts[now.chain]  # (40)
+            is_alone = work.segments[now.chain].aided and segment.P[:2, :2].trace() > tuning.unsettled_tilt**2
+            v = (velocity.variance + look) / velocity.tilted_s**2  # (40)
+            v *= 1 if is_alone else counts[now.chain]
             self.told("unaided", work, before, s, known(segment.P, u, body.world.at_rest, v, tuning.huber))
 
     def follow_sun(self, body, state, tuning, work, dt):

@@ -279,6 +279,12 @@ class Tuning(Record):
     )
     unaided_memory_s: float = constant(1.0, "s", "for how long a speed stays about the same", MOTION)
     aided_tilt: float = constant(0.15, "rad", "an inclination less sure than that tells no speed", JUDGED)
+    unsettled_tilt: float = constant(
+        0.5,
+        "rad",
+        "less sure than that an inclination in an aided chain is not that of the others",
+        "random chains",
+    )
     least_speed: float = constant(0.05, "m/s", "of a body at the least", "swaying")
     speed_mean_s: float = constant(3.0, "s", "over which the squares of speeds are averaged", JUDGED)
 

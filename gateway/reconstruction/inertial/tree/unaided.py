@@ -137,7 +137,7 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
     """Add the rows (40) that speeds are small, aided or not.
 
     The segments of a chain share the information of one row, which averages the errors of their
-    accelerometers.
+    accelerometers. One of an aided chain has a row of its own until its tilt is settled.
     """
     segments, works = state.segments, work.segments
     for s in range(len(works)):
@@ -160,7 +160,9 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
             continue
         # (40) s² T_u / Δt
         look = max(velocity.square, tuning.least_speed**2) * tuning.unaided_memory_s / dt
-        speed_row(now, segment, body.world, look, works[now.chain].sharing, tuning)
+        first, tilt = works[now.chain], segment.P[0, 0] + segment.P[1, 1]
+        is_alone = first.aided == 1 and tilt > tuning.unsettled_tilt**2
+        speed_row(now, segment, body.world, look, 1 if is_alone else first.sharing, tuning)
         learn_velocity(velocity, look)
 
 
