@@ -74,6 +74,11 @@ class RecordingControl:
         """Whether everything that comes now is being kept."""
         return self._recorder is not None and self._recorder.ended is None
 
+    @property
+    def failure(self) -> str | None:
+        """Why what is wanted is not recorded any more; None: it is, or nobody wants it."""
+        return self._recorder.ended if self._is_wanted and self._recorder is not None else None
+
     def check(self) -> None:
         """See that a recording could begin now. Raises ``RecordingError`` with what stands against it."""
         prepare_folder(self._settings.recording)

@@ -50,12 +50,14 @@ class Observer:
         utc_ns: Clock = time.time_ns,
         balances: Callable[[], list[Balance]] = list,
         load: LoadWatch | None = None,
+        not_recorded: Callable[[], str | None] = lambda: None,
     ) -> None:
         """Watch the parts of a running gateway.
 
         utc_ns: reads the host's UTC, ns.
         balances: returns where every sample, pose and chunk went.
         load: whether the machine keeps up; None: a watch that observes nothing.
+        not_recorded: returns why a recording that is wanted has ended; None: it goes on, or none is wanted.
         """
         self._load = load or LoadWatch()
         self.utc: UtcAnchor | None = None
@@ -68,6 +70,7 @@ class Observer:
         self._side = side
         self._utc_ns = utc_ns
         self._balances = balances
+        self._not_recorded = not_recorded
 
         self._left_over: dict[str, int] = {}
         self._anchors = AnchorWatch()
@@ -137,7 +140,8 @@ class Observer:
         )
 
     def health(self) -> dict[str, Any]:
-        """Return the health check: ``ok``, or ``degraded`` while poses cannot flow from end to end."""
+        """Return the health check: ``ok``, or ``degraded`` while poses cannot flow from end to end or are not
+        recorded although they should be."""
         figures = self.figures()
         down = [link.name for link in figures.links if not link.is_up]
         silent = [module.module for module in figures.modules if module.availability == "offline"]
@@ -145,7 +149,9 @@ class Observer:
         # them.
         is_fed = not down and len(silent) < len(figures.modules)
         is_taken = all(figures.connected.values()) and self._mqtt.rights.state != "refused"
-        is_ok = is_fed and is_taken and self._mqtt.twin is None and not self._load.stage
+        not_recorded = self._not_recorded()
+        is_alone = self._mqtt.twin is None
+        is_ok = is_fed and is_taken and is_alone and not_recorded is None and not self._load.stage
         return {
             "status": "ok" if is_ok else "degraded",
             "links_down": down,
@@ -154,6 +160,7 @@ class Observer:
             "outputs_publishing": {"mqtt": self._mqtt.rights.state},
             "topics_refused": list(self._mqtt.rights.refused),
             "same_name": self._mqtt.twin,
+            "recording_ended": not_recorded,
             "skeleton_frames": figures.skeleton_frames,
             "load": dict(self._load.statistics()),
             "unaccounted": unaccounted(figures.balances),

@@ -152,7 +152,10 @@ class Service:
             self.load, self.mqtt, self.side, self._apply_event, lambda: self._link_counts
         )
         parts = self.pipeline, self.links, self.mqtt, self.side
-        self.observer = Observer(settings, suit, info, *parts, balances=self.balances, load=self.load)
+        self.observer = Observer(
+            settings, suit, info, *parts,
+            balances=self.balances, load=self.load, not_recorded=lambda: self.recording.failure,
+        )  # fmt: skip
 
     def _build_commands(self, suit: WornSuit) -> ModuleOperations:
         """Build what is sent to modules: commands, requests for time, triggers. Return the operations."""

@@ -122,6 +122,23 @@ async def test_modules_are_told_of_fall_silent_come_back_and_end_offline(command
         assert listener.newest("bridge/state") == {"state": "offline"}
 
 
+async def test_health_tells_of_a_recording_that_ended_by_itself(commanded_suit, mosquitto, until, tmp_path):
+    """A full disk ended it, the log said so once, and the health check went on saying ok."""
+    recording = {"folder": str(tmp_path), "at_start": True}
+    async with (
+        commanded_suit() as suit,
+        gateway_of(suit, mosquitto.port, recording=recording) as (service, _listener, _),
+    ):
+        await until(lambda: service.observer.health()["status"] == "ok")
+        service.recording._files._free = lambda _folder: 0
+        await until(lambda: service.observer.health()["status"] == "degraded")
+        assert "min_free_mb" in service.observer.health()["recording_ended"]
+        frames = service.pipeline.skeleton_frames
+        await until(lambda: service.pipeline.skeleton_frames > frames)
+        await service.recording.stop()
+        assert service.observer.health()["recording_ended"] is None
+
+
 async def test_a_broker_that_forgot_is_told_again(commanded_suit, mosquitto, until):
     async with commanded_suit() as suit, gateway_of(suit, mosquitto.port) as (service, listener, _):
         await until(lambda: listener.newest("module/3/availability") is not None)
