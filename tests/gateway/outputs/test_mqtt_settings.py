@@ -64,7 +64,7 @@ def test_password_comes_from_the_file_or_else_the_environment(
 
 def test_unreadable_password_file_is_named(tmp_path: Path) -> None:
     absent = tmp_path / "absent"
-    with pytest.raises(CredentialError, match=f"{absent}: No such file"):
+    with pytest.raises(CredentialError, match=rf"{absent} \(No such file"):
         MqttSettings(password_file=absent).read_password()
     binary = tmp_path / "binary"
     binary.write_bytes(b"\xff\xfe\x00secret")
