@@ -46,9 +46,8 @@ OBSERVED = Heading.OBSERVED.value
 AIR_VELOCITY = Quantity.AIR_VELOCITY.value
 CLIP_NONE, CLIP_LEFT = Clip.NONE.value, Clip.LEFT.value
 STARTS_AGAIN, NOT_STARTED = Started.AGAIN.value, Started.NO.value
-FORCE, NOTHING, RATE, SATURATED_RATE = (
+FORCE, RATE, SATURATED_RATE = (
     Validity.FORCE.value,
-    Validity.NOTHING.value,
     Validity.RATE.value,
     Validity.SATURATED_RATE.value,
 )
