@@ -36,9 +36,9 @@ def test_two_orientations_are_put_together_by_their_covariances():
     full = Rotation.from_quat(q_back[0, 0], scalar_first=True) * Rotation.from_rotvec([0.2, 0, 0]).inv()
     # twice as sure: two thirds of the way, about the one axis that is uncertain
     np.testing.assert_allclose(difference.as_rotvec(), full.as_rotvec() * 2.0 / 3.0, atol=1e-12)
-    # the surer tilt, and the surer heading
-    np.testing.assert_array_equal(P[0, 0, 1], np.diag([1e-3, 2e-3, 0.005]))
-    assert sigma[0, 0] == pytest.approx(np.sqrt(0.008))
+    # the claims likewise
+    np.testing.assert_allclose(P[0, 0, 1], np.diag([7e-3, 4e-3, 0.06]) / 3.0)
+    assert sigma[0, 0] == pytest.approx(np.sqrt(0.071 / 3.0))
 
 
 @pytest.mark.parametrize("known", ["forward", "backward"])
@@ -78,7 +78,8 @@ def test_turning_a_state_back_twice_keeps_what_it_knows():
     state, rng = initial_state(3, 1), np.random.default_rng(1)
     for records, name in known_of(state):
         records[name] = rng.normal(size=records[name].shape)
-    again = turned_back(turned_back(state, tuning(), GRAVITY), tuning(), GRAVITY)
+    back = turned_back(state, tuning(), GRAVITY, is_tree=False)
+    again = turned_back(back, tuning(), GRAVITY, is_tree=False)
     for (records, name), (records_again, _) in zip(known_of(state), known_of(again), strict=True):
         np.testing.assert_array_equal(records_again[name], records[name])
 
@@ -96,7 +97,7 @@ def test_the_last_frame_is_not_taken_twice():
     state.clock.last_ns, state.clock.first_ns = 7_000_000_000, 1_000_000_000
     rest = state.segments["zero_rate"]
     rest["rate"], rest["force"], rest["still_s"] = [0.0, 1.0, 2.0], [3.0, 4.0, 5.0], 8.0
-    back = turned_back(state, tuning(), GRAVITY)
+    back = turned_back(state, tuning(), GRAVITY, is_tree=True)
     (last, _), _ = seen_backward([frame(10), frame(20)], 20, [])
     assert last.time_ns == 0 == back.clock.last_ns
     kept = back.segments[0].zero_rate
@@ -111,10 +112,28 @@ def test_the_way_back_knows_that_it_begins_in_motion():
     still.averages.last_force[:] = 0.0, 0.0, 9.81
     moving.averages.last_force[:] = 6.0, 0.0, 12.0
     moving.rate[:] = 0.0, 5.0, 0.0
-    back = turned_back(state, tuning(), GRAVITY)
+    back = turned_back(state, tuning(), GRAVITY, is_tree=True)
     usual = tuning().unaided_speed ** 2
     assert back.segments[0].velocity.square == usual
     assert back.segments[1].velocity.square > 2.0 * usual
+
+
+def test_the_way_back_keeps_relative_headings_and_what_compasses_have_seen():
+    state, rng = initial_state(2, 0), np.random.default_rng(2)
+    segments, compasses = state.segments, state.segments["compass"]
+    segments["P"][:] = np.diag([0.01, 0.01, 0.2, 0.0, 0.0, 0.0])
+    segments["C"][1, 2, 2] = 0.18
+    for name in ("angle", "variance", "settled_s", "error"):
+        compasses[name] = rng.uniform(size=2)
+    back = turned_back(state, tuning(), GRAVITY, is_tree=True).segments
+    P, C = back["P"][:, 2, 2], back["C"][1, 2, 2]
+    assert P[0] + P[1] - 2.0 * C == pytest.approx(0.04)
+    np.testing.assert_allclose(P, 0.2 + tuning().start_heading ** 2)
+    for name in ("angle", "variance", "settled_s", "error"):
+        np.testing.assert_array_equal(back["compass"][name], compasses[name])
+    # ``outward`` knows of nothing that two segments have in common
+    segments["C"] = 0.0
+    assert not turned_back(state, tuning(), GRAVITY, is_tree=False).segments["C"].any()
 
 
 def test_a_method_that_cannot_go_backward_says_so(tmp_path):
@@ -168,7 +187,9 @@ class TestSmoothing:
         assert smoothed[620].status[1] == Status.PREDICTED
         claimed, of_filter = (np.stack([frame.sigma for frame in way]) for way in (smoothed, forward))
         lasting = np.sqrt(2.0) * tuning().force_bias / np.linalg.norm(GRAVITY)
-        assert (claimed <= of_filter).all()
+        # weighed by their inverses two variances become at most twice the smaller one
+        assert (claimed <= np.sqrt(2.0) * of_filter).all()
+        assert claimed.mean() < 0.9 * of_filter.mean()
         assert (claimed > lasting).all()
 
     def test_how_it_is_cut_into_blocks_changes_no_bit(self, moving, tmp_path, monkeypatch):

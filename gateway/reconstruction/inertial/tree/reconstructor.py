@@ -180,7 +180,8 @@ class ChainReconstructor:
     def turned_back(self) -> ChainReconstructor:
         """Return the same estimator, to go backward from where this one is; see ``smoothing``."""
         back = type(self)(self._suit, self._nominal_interval_s, self._settings)
-        back._use(turned_back(self._state, self._settings.tuning, self._body.world.gravity))
+        gravity = self._body.world.gravity
+        back._use(turned_back(self._state, self._settings.tuning, gravity, self.is_tree))
         return back
 
     def _use(self, state: State) -> None:

@@ -34,17 +34,21 @@ KEPT_OF_ARMS, KEPT_OF_DEVICES = ("error", "covariance"), ("shift", "covariance",
 """Of the state, what is the same seen backward."""
 
 
-def turned_back(state: State, tuning: Tuning, gravity: FloatArray) -> State:
-    """Return the state with which the filter runs backward from where ``state`` is. gravity: (3,) m/s².
+def turned_back(state: State, tuning: Tuning, gravity: FloatArray, is_tree: bool) -> State:
+    """Return the state with which the filter runs backward from where ``state`` is.
+
+    gravity: (3,) m/s². is_tree: whether the filter keeps what segments have in common.
 
     Orientations, biases, lever arms and shown headings are kept; the rows' averages begin anew. The clock
     stands at 0, where the last frame lies: that frame has been used, and a turn by its rate once more would
     be off by a whole interval.
 
     Recordings end in mid-motion as often as at rest: a backward filter that began without any state would
-    first take that motion's acceleration for a tilt. But it is as uncertain as at a start: what the forward
-    filter knows would count twice where the two are put together, and an error at its end would be carried
-    back.
+    first take that motion's acceleration for a tilt. But of tilts, and of the heading of the whole body, it
+    is as uncertain as at a start: what the forward filter knows would count twice where the two are put
+    together, and an error at its end would be carried back. Not so of what lasts: biases, headings of
+    segments against each other, what compasses have seen. With these forgotten, the way back would drift
+    and turn to what the field says where it begins.
     """
     before, devices = state.segments, state.devices
     turned = initial_state(len(before), len(devices))
@@ -61,12 +65,12 @@ def turned_back(state: State, tuning: Tuning, gravity: FloatArray) -> State:
     back["zero_rate"]["rate"][...] *= -1.0
     back["P"][...] = before["P"] * np.outer(sign, sign)
     back["C"][...] = before["C"] * np.outer(sign, sign)
-    forgotten = np.array([tuning.start_tilt] * 2 + [tuning.start_heading] + [tuning.bias] * 3) ** 2
-    back["P"][:, range(6), range(6)] += forgotten
+    back["P"][:, range(2), range(2)] += tuning.start_tilt**2
+    back["P"][:, 2, 2] += tuning.start_heading**2
+    if is_tree:
+        back["C"][:, 2, 2] += tuning.start_heading**2  # only what all headings have in common
     back["compass"]["rate"][...] *= -1.0
     back["compass"]["covariance"][...] *= -1.0
-    back["compass"]["variance"][...] += tuning.start_heading**2
-    back["compass"]["settled_s"][...] = 0.0
     for s in range(len(back)):
         force, rate = before[s].averages.last_force, before[s].rate
         starting = starting_speed_square(start_acceleration(gravity, force, rate, tuning), tuning)
@@ -113,13 +117,12 @@ def put_together(
     P_back: FloatArray,
     sigma_back: FloatArray,
 ) -> None:
-    """Combine forward and backward orientations (T, n, 4) into the forward ones, in place, equation (66).
+    """Combine forward and backward orientations (T, n, 4) into the forward ones, in place, (66) and (66a).
 
     P, P_back: (T, n, 2, 3, 3) rad², world axes: the estimates' own, and the published ones. With the rotation
-    ``δ = log(R_back R⁻¹)`` the orientation moves by ``P (P + P_back)⁻¹ δ`` of its own. What both have in
-    common, as modules that move on the body, does not become less by that: the published P is that of the
-    surer tilt and of the surer heading, and sigma (T, n), rad, the root of its trace. Where only one of the
-    two is defined, that one counts.
+    ``δ = log(R_back R⁻¹)`` the orientation moves by ``P (P + P_back)⁻¹ δ`` of its own. The published P
+    of both are weighed alike, since the errors are: sigma (T, n), rad, becomes the root of its trace. Where
+    only one of the two is defined, that one counts.
     """
     both, known = np.empty((3, 3)), np.empty((3, 3))
     for t in range(q_wb.shape[0]):
@@ -141,14 +144,18 @@ def put_together(
             q = quaternion.multiply(quaternion.from_rotation_vector(turn), q_wb[t, s])
             q_wb[t, s] = quaternion.canonical(quaternion.normalise(q))
             published = P[t, s, 1]
-            _take_surer(published, P_back[t, s, 1])
+            _weigh_claims(published, P_back[t, s, 1], gain)
             square = published[0, 0] + published[1, 1] + published[2, 2]
-            sigma[t, s] = min(sigma[t, s], sigma_back[t, s], math.sqrt(square))
+            sigma[t, s] = min(math.sqrt(square), max(sigma[t, s], sigma_back[t, s]))
 
 
 @compiled
-def _take_surer(P: FloatArray, other: FloatArray) -> None:
-    """Replace the tilt's block of P (3, 3), and the heading's, by that of the other where it is surer."""
-    if other[0, 0] + other[1, 1] < P[0, 0] + P[1, 1]:
-        P[:2, :2] = other[:2, :2]
-    P[2, 2] = min(P[2, 2], other[2, 2])
+def _weigh_claims(P: FloatArray, other: FloatArray, gain: FloatArray) -> None:
+    """Mix the tilt's block of P (3, 3), and the heading's, with those of the other as the gain (3, 3) mixes
+    the estimates, equation (66a).
+    """
+    share = min(max(0.5 * (gain[0, 0] + gain[1, 1]), 0.0), 1.0)
+    for i in range(2):
+        for j in range(2):
+            P[i, j] += share * (other[i, j] - P[i, j])
+    P[2, 2] += min(max(gain[2, 2], 0.0), 1.0) * (other[2, 2] - P[2, 2])
