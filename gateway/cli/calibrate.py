@@ -215,6 +215,7 @@ def clocks(
         Path | None,
         typer.Option("--output", "-o", help="File to write [<rig>.clocks.yaml beside the config]"),
     ] = None,
+    force: ReplaceFiles = False,
     minute_s: Annotated[float, typer.Option(min=0.5, max=60, hidden=True)] = MINUTE_S,
     settling_s: Annotated[float, typer.Option(min=0, hidden=True)] = 15.0,
 ) -> None:
@@ -230,6 +231,7 @@ def clocks(
     target = output or config.parent / f"{Path(settings.rig).stem}.clocks.yaml"
     if not target.parent.is_dir():
         raise GatewayError(f"{target}: there is no folder {target.parent} to write it to")
+    refuse_existing(target, force)
     # Compiled beforehand: a kernel compiled while samples wait would delay their arrival times.
     warm_up()
     calibration = ClockCalibration(suit.module_ids, minutes, repetitions, minute_s, settling_s)

@@ -12,6 +12,7 @@ import yaml
 from mcap.reader import make_reader
 from typer.testing import CliRunner
 
+from devices import recording_format as fmt
 from devices.link import Framing
 from devices.recording_writer import RecordingWriter, session_record
 from gateway.cli.main import app, main
@@ -44,7 +45,8 @@ def test_a_difference_after_a_damaged_piece_is_put_down_to_that(record):
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    piece = max(summary.chunk_indexes, key=lambda index: index.chunk_length)  # the others may hold no samples
+    samples = {i for i, channel in summary.channels.items() if channel.topic.startswith(fmt.CHUNKS)}
+    piece = next(index for index in summary.chunk_indexes if samples & index.message_index_offsets.keys())
     data[piece.chunk_start_offset + piece.chunk_length // 2] ^= 0xFF
     path.write_bytes(data)
     code, output = typed("replay", path, "--verify")
@@ -155,6 +157,9 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
     [
         (("replay", "absent.mcap"), "recording absent.mcap cannot be read: No such file"),
         (("info", __file__), "is no recording of mocap-gateway"),
+        (("analyse", __file__), "is no recording of mocap-gateway"),
+        (("analyse", "{path}"), "does not tell what the person weighs"),
+        *(((words, "{cut}"), "was cut off at byte 2000, before its first") for words in ("info", "recover")),
         (("recover", "absent.mcap"), "cannot be read"),
         (("recover", "x.mcap", "--in-place", "--output", "y.mcap"), "not both"),
         (("recordings", "absent"), "there is no folder absent"),
@@ -178,8 +183,10 @@ def test_what_cannot_be_is_said_in_a_line(
     path, card = record(chunks=arm_chunks[:60]), tmp_path / "card.mcap"
     with RecordingWriter(card, session_record({"card": Framing.BYTE_STREAM}), {}, 0):
         pass
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:2000])  # within what it says of itself
     monkeypatch.chdir(tmp_path)
-    given = [argument.format(path=path, card=card) for argument in arguments]
+    given = [argument.format(path=path, card=card, cut=cut) for argument in arguments]
     monkeypatch.setattr(sys, "argv", ["mocap-gateway", *given])
     with pytest.raises(SystemExit) as ended:
         main()
