@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import dataclass, replace
+from itertools import compress, islice
 from typing import Any
 
 import numpy as np
@@ -65,10 +65,24 @@ class SkeletonArrays:
 
     @property
     def rate_hz(self) -> float:
-        """Frames a second, by the median interval; 0 with fewer than two frames."""
-        if len(self.time_ns) < 2:
-            return 0.0
-        return _exact(1e9 / float(np.median(np.diff(self.time_ns))))
+        """Frames a second, by the median interval; 0 with fewer than two instants."""
+        intervals = np.diff(self.time_ns)
+        onward = intervals[intervals > 0]
+        return _exact(1e9 / float(np.median(onward))) if len(onward) else 0.0
+
+    def only(self, kept: NDArray[np.bool_]) -> SkeletonArrays:
+        """Return some of the frames. kept: (F,)."""
+        fields: dict[str, Any] = {name: getattr(self, name)[kept] for name in ("time_ns", "sequence", *_STACKED)}
+        if self.markers is not None:
+            markers = self.markers
+            fields["markers"] = MarkerArrays(
+                markers.labels,
+                markers.positions[kept],
+                markers.virtual[kept],
+                markers.used[kept],
+                tuple(compress(markers.unlabelled, kept)),
+            )
+        return replace(self, **fields)
 
     @property
     def begins_s(self) -> float:

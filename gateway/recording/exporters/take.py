@@ -18,6 +18,8 @@ from gateway.recording.exporters.formats import Axes
 
 _TURNS_DEG = {Axes.Z_UP: 0.0, Axes.Y_UP: -90.0}
 """About x."""
+_MADE_UP_AT_MOST, _MADE_UP_AT_LEAST = 10, 100_000
+"""Frames that may be interpolated: so many for each that was recorded, and so many anyway."""
 
 
 @dataclass(frozen=True)
@@ -109,16 +111,16 @@ def rotation(q: FloatArray) -> Rotation:
 def take_of(arrays: SkeletonArrays, name: str, axes: Axes, recording: Recording | None = None) -> Take:
     """Make a take of a recorded result.
 
-    Raises ``GatewayError`` with one frame, or if the root is never known.
+    Raises ``GatewayError`` with one frame, if the root is never known, or where next to nothing of the time
+    was recorded.
 
     A segment that is never known, as its module was dead, keeps the neutral posture against its parent.
     Frames that were not recorded, and orientations that were not known, are interpolated between their
-    neighbours in time; before the first and after the last known one it is repeated.
+    neighbours in time; before the first and after the last known one it is repeated. Frames that are not
+    later than those before are left out.
     """
-    if len(arrays.time_ns) < 2:
-        raise GatewayError(f"{name} has {len(arrays.time_ns)} frame(s): a motion needs two at least")
+    arrays, index = _in_order(arrays, name)
     rate_hz = arrays.rate_hz
-    index = np.round((arrays.time_ns - arrays.time_ns[0]) * 1e-9 * rate_hz).astype(np.int64)
     grid = np.arange(index[-1] + 1)
     q_wb, filled = _filled_orientations(_known_orientations(arrays, name), index, grid)
     filled[:, _never_known(arrays)] = True
@@ -141,6 +143,25 @@ def take_of(arrays: SkeletonArrays, name: str, axes: Axes, recording: Recording 
         begins_s=arrays.begins_s,
         recording=recording,
     )
+
+
+def _in_order(arrays: SkeletonArrays, name: str) -> tuple[SkeletonArrays, IntArray]:
+    """Return the frames that are later than all before them, and their places (F,) at the regular rate."""
+    index = np.round((arrays.time_ns - arrays.time_ns[0]) * 1e-9 * arrays.rate_hz).astype(np.int64)
+    is_later = np.diff(np.maximum.accumulate(index), prepend=-1) > 0
+    if not is_later.all():
+        arrays, index = arrays.only(is_later), index[is_later]
+    n = len(index)
+    if n < 2:
+        raise GatewayError(f"{name} has {n} frame(s): a motion needs two at least")
+    if index[-1] > max(_MADE_UP_AT_MOST * n, _MADE_UP_AT_LEAST):
+        pause = int(np.argmax(np.diff(index)))
+        begins_s, lasts_s = index[pause] / arrays.rate_hz, (index[pause + 1] - index[pause]) / arrays.rate_hz
+        raise GatewayError(
+            f"{name}: {n} of {index[-1] + 1} frames were recorded, nothing from {begins_s:.0f} s on for "
+            f"{lasts_s:.0f} s: so much cannot be interpolated; end the recording before a pause"
+        )
+    return arrays, index
 
 
 def _never_known(arrays: SkeletonArrays) -> NDArray[np.bool_]:

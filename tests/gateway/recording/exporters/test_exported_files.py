@@ -114,6 +114,42 @@ def test_a_root_that_was_never_known_is_refused():
         take_of(never_known(0), "walk", Axes.Z_UP)
 
 
+def at_other_times(changed):
+    time_ns = ARRAYS.time_ns.copy()
+    changed(time_ns)
+    return replace(ARRAYS, time_ns=time_ns)
+
+
+def turn_back(time_ns):
+    time_ns[50:] -= 30_000_000
+
+
+def stand_still(time_ns):
+    time_ns[:] = time_ns[0]
+
+
+def pause(time_ns):
+    time_ns[50:] += 86_400 * 10**9
+
+
+def test_instants_that_are_not_later_than_those_before_are_left_out():
+    """The answer was an error of the interpolation."""
+    take = take_of(at_other_times(turn_back), "walk", Axes.Z_UP)
+    assert len(take.q_wb) == FRAMES - 3
+    assert (np.diff(take.recorded.time_ns) > 0).all()
+    assert len(take.recorded.time_ns) == len(take.recorded.q_wb) == len(ARRAYS.time_ns) - 3
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [(stand_still, "has 1 frame"), (pause, r"118 of 8640120 frames were recorded, .* for 86400 s")],
+)
+def test_times_of_which_no_motion_can_be_made_are_refused(changed, told):
+    """A pause of days took all memory there was."""
+    with pytest.raises(GatewayError, match=told):
+        take_of(at_other_times(changed), "walk", Axes.Z_UP)
+
+
 def test_bvh_read_by_bvhio(tmp_path):
     bvhio = pytest.importorskip("bvhio", reason="bvhio is not installed")
     take, path = exported("bvh", tmp_path)
