@@ -283,7 +283,6 @@ class RecordingFile:
             )
         return Head(session, attachments, _links(self.path, session))
 
-
     def _begins_head_record(self, at: int) -> bool:
         """Return whether what begins at a place of the file belongs before all messages."""
         with self.path.open("rb") as file:

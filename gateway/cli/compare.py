@@ -299,7 +299,7 @@ def difference_page(found: Difference, title: str) -> AnglePage:
             figures.segment,
             str(figures.frames),
             *(
-                f"{value:.3f}"
+                "–" if np.isnan(value) else f"{value:.3f}"
                 for value in (
                     figures.mean_deg,
                     figures.rms_deg,

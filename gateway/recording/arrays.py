@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.body.skeleton import Skeleton
+from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray, MarkerFit, SkeletonFrame, StatusArray
 
 _AT_ONCE = 1024
+_MADE_UP_AT_MOST, _MADE_UP_AT_LEAST = 10, 100_000
+"""Frames that may be interpolated: so many for each that was recorded, and so many anyway."""
 _STACKED = ("q_wb", "p_w", "angular_rate", "joint_acceleration", "sigma", "status")
 
 
@@ -72,7 +75,9 @@ class SkeletonArrays:
 
     def only(self, kept: NDArray[np.bool_]) -> SkeletonArrays:
         """Return some of the frames. kept: (F,)."""
-        fields: dict[str, Any] = {name: getattr(self, name)[kept] for name in ("time_ns", "sequence", *_STACKED)}
+        fields: dict[str, Any] = {
+            name: getattr(self, name)[kept] for name in ("time_ns", "sequence", *_STACKED)
+        }
         if self.markers is not None:
             markers = self.markers
             fields["markers"] = MarkerArrays(
@@ -88,6 +93,22 @@ class SkeletonArrays:
     def begins_s(self) -> float:
         """Of the first frame, by the time of the files that it was made from; 0 where it came live."""
         return 0.0 if self.origin_ns is None else float(self.time_ns[0] - self.origin_ns) * 1e-9
+
+
+def refuse_pauses(time_ns: IntArray, name: str) -> None:
+    """Raise ``GatewayError`` for instants (F,) that go on, but next to nothing of whose time was recorded.
+
+    At a regular rate that would take memory without end. name: what errors call it.
+    """
+    intervals = np.diff(time_ns)
+    n_regular = round((time_ns[-1] - time_ns[0]) / float(np.median(intervals))) + 1
+    if n_regular > max(_MADE_UP_AT_MOST * len(time_ns), _MADE_UP_AT_LEAST):
+        longest = int(np.argmax(intervals))
+        begins_s, lasts_s = (time_ns[longest] - time_ns[0]) * 1e-9, intervals[longest] * 1e-9
+        raise GatewayError(
+            f"{name}: {len(time_ns)} of {n_regular} frames were recorded, nothing from {begins_s:.0f} s on for "
+            f"{lasts_s:.0f} s: so much cannot be interpolated; end the recording before a pause"
+        )
 
 
 def _exact(rate_hz: float) -> float:

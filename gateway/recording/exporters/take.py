@@ -14,12 +14,11 @@ from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray
 from gateway.recording import Recording, SkeletonArrays
+from gateway.recording.arrays import refuse_pauses
 from gateway.recording.exporters.formats import Axes
 
 _TURNS_DEG = {Axes.Z_UP: 0.0, Axes.Y_UP: -90.0}
 """About x."""
-_MADE_UP_AT_MOST, _MADE_UP_AT_LEAST = 10, 100_000
-"""Frames that may be interpolated: so many for each that was recorded, and so many anyway."""
 
 
 @dataclass(frozen=True)
@@ -154,13 +153,7 @@ def _in_order(arrays: SkeletonArrays, name: str) -> tuple[SkeletonArrays, IntArr
     n = len(index)
     if n < 2:
         raise GatewayError(f"{name} has {n} frame(s): a motion needs two at least")
-    if index[-1] > max(_MADE_UP_AT_MOST * n, _MADE_UP_AT_LEAST):
-        pause = int(np.argmax(np.diff(index)))
-        begins_s, lasts_s = index[pause] / arrays.rate_hz, (index[pause + 1] - index[pause]) / arrays.rate_hz
-        raise GatewayError(
-            f"{name}: {n} of {index[-1] + 1} frames were recorded, nothing from {begins_s:.0f} s on for "
-            f"{lasts_s:.0f} s: so much cannot be interpolated; end the recording before a pause"
-        )
+    refuse_pauses(arrays.time_ns, name)
     return arrays, index
 
 

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from devices.emulators.motions import BodyMotion
 from devices.marker_files import read_markers
+from gateway.agreement import tracks_of
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, move
 from gateway.errors import GatewayError
@@ -148,6 +149,8 @@ def test_times_of_which_no_motion_can_be_made_are_refused(changed, told):
     """A pause of days took all memory there was."""
     with pytest.raises(GatewayError, match=told):
         take_of(at_other_times(changed), "walk", Axes.Z_UP)
+    with pytest.raises(GatewayError, match="walk"):
+        tracks_of(at_other_times(changed), 0, "walk")
 
 
 def test_bvh_read_by_bvhio(tmp_path):
