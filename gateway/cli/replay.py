@@ -282,3 +282,7 @@ def _solve(recording: Recording, source: Source, target: Path | None, as_json: b
             f"{target}: {frames} poses; compare them with `mocap-gateway compare --same-session "
             f"{recording.meta.path} {target}`"
         )
+    if not frames:
+        ids = ", ".join(map(str, source.suit.module_ids))
+        wanted = f"has it samples of the rig's modules ({ids})" if ids else "has it samples"
+        raise GatewayError(f"{recording.meta.path} gives no pose: {wanted}? `mocap-gateway info` counts them")

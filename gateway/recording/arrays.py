@@ -106,8 +106,8 @@ def refuse_pauses(time_ns: IntArray, name: str) -> None:
         longest = int(np.argmax(intervals))
         begins_s, lasts_s = (time_ns[longest] - time_ns[0]) * 1e-9, intervals[longest] * 1e-9
         raise GatewayError(
-            f"{name}: {len(time_ns)} of {n_regular} frames were recorded, nothing from {begins_s:.0f} s on for "
-            f"{lasts_s:.0f} s: so much cannot be interpolated; end the recording before a pause"
+            f"{name}: {len(time_ns)} of {n_regular} frames were recorded, nothing from {begins_s:.0f} s on "
+            f"for {lasts_s:.0f} s: so much cannot be interpolated; end the recording before a pause"
         )
 
 

@@ -174,6 +174,11 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
         (("replay", "{path}", "--verify", "--with", "single"), "leave out --with"),
         (("replay", "{path}", "--output", "{path}"), "exists already"),
         (("compare", "{path}", "{path}", "--same-session", "--plot", "plot.gif"), "a plot is written as"),
+        (
+            ("replay", "{path}", "--offline", "--with", "{others}"),
+            "gives no pose: has it samples of the rig's mod",
+        ),
+        (("replay", "{path}", "--verify", "--output", "x.mcap"), "--smooth, --output"),
         (("replay", "{path}", "--output", "none/x.mcap"), "none: No such file or directory: name a place"),
     ],
 )
@@ -183,10 +188,12 @@ def test_what_cannot_be_is_said_in_a_line(
     path, card = record(chunks=arm_chunks[:60]), tmp_path / "card.mcap"
     with RecordingWriter(card, session_record({"card": Framing.BYTE_STREAM}), {}, 0):
         pass
+    others = tmp_path / "others.yaml"
+    others.write_text("body: robot_arm_4\nmodules: [{id: 20, segment: link_1}, {id: 21, segment: link_2}]\n")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[:2000])  # within what it says of itself
     monkeypatch.chdir(tmp_path)
-    given = [argument.format(path=path, card=card, cut=cut) for argument in arguments]
+    given = [argument.format(path=path, card=card, cut=cut, others=others) for argument in arguments]
     monkeypatch.setattr(sys, "argv", ["mocap-gateway", *given])
     with pytest.raises(SystemExit) as ended:
         main()
