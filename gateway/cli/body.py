@@ -152,6 +152,7 @@ def import_robot(
     force: ReplaceFiles = False,
 ) -> None:
     """Make a body file of a robot's URDF: links with what is fixed to them, joints, axes and limits."""
+    refuse_existing(output, force, source=urdf)
     robot = import_urdf(read_text(urdf), str(urdf), has_fixed_base=not floating)
     _write(output, f"# Imported from {urdf.name}.\n", robot.content, force)
     for note in robot.notes:

@@ -178,6 +178,17 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
             ("replay", "{path}", "--offline", "--with", "{others}"),
             "gives no pose: has it samples of the rig's mod",
         ),
+        (("export", "{path}", "--to", "csv", "--force", "-o", "{path}"), "is itself what is read"),
+        (
+            ("export", "{path}", "--to", "csv", "-o", "x.bvh"),
+            "the ending of another format; of csv it is .csv",
+        ),
+        (
+            ("report", "{path}", "--force", "-o", "{path}"),
+            "is itself what is read: name another file with --ou",
+        ),
+        (("calibrate", "history", "absent.yaml"), "absent.yaml cannot be read: no such file"),
+        (("emulate", "--rig", "single", "--on", "udp", "--host", 64 * "x"), "correct --host"),
         (("replay", "{path}", "--verify", "--output", "x.mcap"), "--smooth, --output"),
         (("replay", "{path}", "--output", "none/x.mcap"), "none: No such file or directory: name a place"),
     ],
