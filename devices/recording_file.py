@@ -247,6 +247,7 @@ class RecordingFile:
     def _read_head(self) -> Head:
         session: dict[str, str] | None = None
         attachments: dict[str, bytes] = {}
+        read_to, is_cut = 0, False
         for record in self._outer_records():
             if isinstance(record, Metadata) and record.name == fmt.SESSION:
                 session = dict(record.metadata)
@@ -255,6 +256,9 @@ class RecordingFile:
             # The head is complete where the first chunk begins; the rest may be gigabytes.
             elif isinstance(record, Chunk | _Gap):
                 break
+            read_to = self.position
+        else:
+            is_cut = self.defect is not None and self._begins_head_record(read_to)
         self.defect, self.position = None, 0
         part = "1" if session is None else session.get("part", "1")
         # Part numbers become file names: anything but a small number is refused.
@@ -267,12 +271,23 @@ class RecordingFile:
                 f"{self.path} is no recording of mocap-gateway: an MCAP file beginning with '{fmt.SESSION}' "
                 "is wanted"
             )
+        if is_cut:
+            raise RecordingError(
+                f"{self.path} was cut off at byte {self.size}, before its first sample: nothing that was "
+                "recorded is in it"
+            )
         if session.get("format") != str(fmt.FORMAT_VERSION):
             raise RecordingError(
                 f"{self.path} is a recording of format {session.get('format')}; this program reads format "
                 f"{fmt.FORMAT_VERSION}: a newer version may read it"
             )
         return Head(session, attachments, _links(self.path, session))
+
+    def _begins_head_record(self, at: int) -> bool:
+        """Return whether what begins at a place of the file belongs before all messages."""
+        with self.path.open("rb") as file:
+            file.seek(at)
+            return file.read(1) in {bytes([Opcode.METADATA]), bytes([Opcode.ATTACHMENT])}
 
 
 class RecordingParts:

@@ -46,8 +46,6 @@ METRICS_TOKEN_VARIABLE = "MOCAP_METRICS_TOKEN"
 
 MAX_DELAY_MS = 2000.0
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-
 
 def _settings_class(given: Any) -> str:
     """Name the class of a link's settings, by what it carries."""
@@ -142,7 +140,7 @@ class ClockSettings(Strict):
 class AssemblySettings(Strict):
     """How samples of many modules become frames of one instant."""
 
-    rate_hz: float = Field(default=100, gt=0, le=4000, description="skeleton frames a second")
+    rate_hz: float = Field(default=100, ge=0.1, le=4000, description="skeleton frames a second")
     max_wait_ms: float = Field(
         default=30, ge=0, le=10_000, description="latency budget: how long a frame waits for late samples"
     )
@@ -182,7 +180,7 @@ class RootMotionSettings(Strict):
         description="level: feet stand on one level floor, so that height does not drift; "
         "open: heights as they are found (stairs, slopes)",
     )
-    floor_height_m: Finite = Field(default=0, description="height of a level floor")
+    floor_height_m: float = Field(default=0, ge=-1000, le=1000, description="height of a level floor")
 
     def root(self) -> RootSettings:
         """Return the settings as the reconstructors take them."""

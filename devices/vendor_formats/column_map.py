@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
-from devices.vendor_formats.gaps import in_order, index_of_times, rate_of, spread
+from devices.vendor_formats.gaps import RATES, in_order, index_of_times, rate_of, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
 from devices.vendor_formats.xsens_text import NORTH_WEST_UP_DEG, add_tracks, turned
@@ -88,7 +88,9 @@ class MappedModule(_Strict):
 class ColumnMap(_Strict):
     """A map file."""
 
-    rate_hz: float | None = Field(default=None, gt=0, le=10_000, description="for files without a time")
+    rate_hz: float | None = Field(
+        default=None, ge=RATES[0], le=RATES[1], description="for files without a time"
+    )
     time: TimeColumn | None = None
     modules: list[MappedModule] = Field(min_length=1, max_length=60)
 

@@ -12,7 +12,7 @@ from devices.vendor_formats.sheets import FormatError, Sheet
 
 IntArray = NDArray[np.int64]
 
-_RATES = (0.5, 20_000.0)
+RATES = (0.5, 20_000.0)
 """Hz, the lowest and the highest."""
 _STEP_DECIMALS = 6
 """To which steps between times, s, count as equal: seconds since 1970 keep no more."""
@@ -114,7 +114,7 @@ def rate_of(steps: FloatArray, path: Path, decimals: int = 1) -> float:
 
 def checked_rate(rate_hz: float, path: Path) -> float:
     """Return the rate. Raises ``FormatError`` for one that no module samples at."""
-    lowest, highest = _RATES
+    lowest, highest = RATES
     if not lowest <= rate_hz <= highest:
         raise FormatError(
             f"{path}: {rate_hz:g} samples a second; from {lowest:g} to {highest:g} are read. Is its time in "

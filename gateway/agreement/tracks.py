@@ -10,7 +10,7 @@ import numpy as np
 from devices.deferred import Rotation
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray, Status
-from gateway.recording.arrays import SkeletonArrays
+from gateway.recording.arrays import SkeletonArrays, refuse_pauses
 
 OBSERVED = (Status.MEASURED, Status.INTERPOLATED, Status.UNAIDED)
 """Of an orientation that was seen: others say nothing against or for another source."""
@@ -44,11 +44,13 @@ def tracks_of(arrays: SkeletonArrays, origin_ns: int, source: str) -> Tracks:
     """Recorded poses, seconds since ``origin_ns``; repeated instants once. Orientations that were only held
     or predicted (hidden markers, a silent module) are not known.
 
-    source: what errors call it. Raises ``GatewayError`` for fewer than two instants.
+    source: what errors call it. Raises ``GatewayError`` for fewer than two instants, and where next to
+    nothing of the time was recorded.
     """
     time_ns, kept = np.unique(arrays.time_ns, return_index=True)
     if len(time_ns) < 2:
         raise GatewayError(f"{source} has {len(time_ns)} poses: nothing to compare")
+    refuse_pauses(time_ns, source)
     time_s = np.asarray((time_ns - origin_ns) * 1e-9, dtype=np.float64)
     return Tracks(
         names=arrays.segment_names,

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from gateway.body.body_file import Vector
+from gateway.body.body_file import Point
 from gateway.body.inertia import NO_MASS_KG, BodyInertia
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest
@@ -21,7 +21,7 @@ class SegmentMass(Strict):
     """One segment."""
 
     mass_kg: Positive
-    centre_m: Vector = Field(description="centre of mass from the proximal joint, segment axes")
+    centre_m: Point = Field(description="centre of mass from the proximal joint, segment axes")
     inertia_kg_m2: tuple[Positive, Positive, Positive] = Field(
         description="about the centre of mass, along x, y and z of the segment"
     )

@@ -12,13 +12,15 @@ from pydantic import Field, model_validator
 
 from gateway.body.joint_file import JointEntry, joints_of
 from gateway.body.markers import BodyMarkers
+from gateway.body.sensor_entries import Finite
 from gateway.body.skeleton import Interpolation, Skeleton, WornSuit, field_vector
 from gateway.errors import SettingsError, nearest
 from gateway.support.names import LOWER_NAME
 from gateway.support.settings_files import Strict, find_file, load_settings
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vector = tuple[Finite, Finite, Finite]
+_Coordinate = Annotated[float, Field(ge=-20, le=20, allow_inf_nan=False)]
+Point = tuple[_Coordinate, _Coordinate, _Coordinate]
+"""m, of a segment's own: what lies further off was meant in millimetres."""
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 
 
@@ -34,9 +36,9 @@ class BodySegment(Strict):
 
     name: str = Field(min_length=1, pattern=LOWER_NAME, description="ISB name in lower case")
     parent: str | None = Field(description="segment it is joined to; null for the root")
-    joint: Vector = Field(default=(0, 0, 0), description="proximal joint in the parent's axes, m")
-    tip: Vector = Field(description="where the segment ends, own axes, m")
-    contacts: list[Vector] = Field(
+    joint: Point = Field(default=(0, 0, 0), description="proximal joint in the parent's axes, m")
+    tip: Point = Field(description="where the segment ends, own axes, m")
+    contacts: list[Point] = Field(
         default=[], description="points that carry the body on the ground (heel, ball), own axes, m"
     )
     interpolate: SegmentInterpolation | None = Field(

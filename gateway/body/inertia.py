@@ -104,8 +104,8 @@ def body_inertia(skeleton: Skeleton, body_kg: float, sex: str | None = None) -> 
 
     if not limbs:
         raise GatewayError(
-            f"body '{skeleton.name}' has no segment of a person ({', '.join(MASS_OF_BODY)}): tell what its "
-            "segments weigh with --inertia FILE (docs/guide/analysis.md has one)"
+            f"body '{skeleton.name}' has no segment of a person ({', '.join(MASS_OF_BODY)}): `analyse` "
+            "alone takes what its segments weigh, with --inertia FILE (docs/guide/analysis.md has one)"
         )
     _add_trunk(found, skeleton, sex)
     return found

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from gateway.body.anthropometry import Subject, scaled
-from gateway.body.body_file import Quaternion, Vector, WorldSettings, load_body
-from gateway.body.sensor_entries import CalibrationEntry
+from gateway.body.body_file import Point, Quaternion, WorldSettings, load_body
+from gateway.body.sensor_entries import CalibrationEntry, Vector
 from gateway.body.skeleton import (
     CameraPosition,
     LocalDevice,
@@ -56,7 +56,7 @@ class WornModule(Strict):
 
     id: ModuleId
     segment: str
-    position: Vector = Field(default=(0, 0, 0), description="proximal joint to module, segment axes, m")
+    position: Point = Field(default=(0, 0, 0), description="proximal joint to module, segment axes, m")
     sensor_to_segment: Quaternion = Field(
         default=(1, 0, 0, 0), description="w x y z; takes sensor axes to segment axes"
     )
@@ -93,7 +93,7 @@ class WornLocalDevice(Strict):
     )
     segment: str
     device: ModuleId | None = Field(default=None, description="id it sends under; none for a fixed point")
-    position: Vector = Field(default=(0, 0, 0), description="proximal joint to device, segment axes, m")
+    position: Point = Field(default=(0, 0, 0), description="proximal joint to device, segment axes, m")
     device_to_segment: Quaternion = Field(
         default=(1, 0, 0, 0), description="for air_velocity: w x y z; takes the tubes' axes to segment axes"
     )

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 from pydantic import Field
 
-from gateway.body.body_file import BodyFile, Vector, WorldSettings, skeleton_of, worn_without_modules
+from gateway.body.body_file import BodyFile, Point, WorldSettings, skeleton_of, worn_without_modules
 from gateway.body.camera_entries import CameraEntry
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
@@ -28,7 +28,7 @@ class MarkerEntry(Strict):
 
     label: str = Field(min_length=1, description="name by which the optical system sends it")
     segment: str
-    position: Vector = Field(description="from the segment's proximal joint, segment axes, m")
+    position: Point = Field(description="from the segment's proximal joint, segment axes, m")
     sigma_mm: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)] = 5.0
 
 

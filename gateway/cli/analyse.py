@@ -109,10 +109,11 @@ def analyse_file(
 
 
 def _refuse_unfit(file: Path, mass: float | None, inertia: Path | None, *, is_trial: bool) -> None:
-    """Raise ``GatewayError`` without the extras, for a file that cannot be read, and without what the body
-    weighs."""
+    """Raise ``GatewayError`` without the extras and without what the body weighs, ``RecordingError`` for a
+    file that cannot be read, before any of it is."""
     from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
     from gateway.analysis.body_model import require_biomech
+    from gateway.recording import open_recording
     from gateway.support.extras import require_package
 
     require_biomech()
@@ -123,8 +124,10 @@ def _refuse_unfit(file: Path, mass: float | None, inertia: Path | None, *, is_tr
         raise GatewayError(f"{file} cannot be read: no such file")
     if mass is not None and inertia is not None:
         raise GatewayError("--mass and --inertia both tell what the body weighs: leave one of them out")
-    if mass is None and inertia is None and not is_trial and file.suffix.lower() not in MARKER_SUFFIXES:
-        raise GatewayError(_NO_MASS.format(file=file))
+    if not is_trial and file.suffix.lower() not in MARKER_SUFFIXES:
+        open_recording(file)
+        if mass is None and inertia is None:
+            raise GatewayError(_NO_MASS.format(file=file))
 
 
 def _folder(file: Path, output: Path | None, *, force: bool) -> Path:

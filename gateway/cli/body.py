@@ -20,7 +20,7 @@ from gateway.body.body_file import load_body
 from gateway.body.joints import WORLD, Joint
 from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import import_urdf
-from gateway.cli.options import AsJson
+from gateway.cli.options import AsJson, ReplaceFiles, refuse_existing
 from gateway.errors import GatewayError
 from gateway.support.settings_files import (
     as_shown,
@@ -47,7 +47,6 @@ Lengths = Annotated[
     typer.Option("--length", metavar="NAME=M", help="Measured, m: thigh=0.43, hip_width=0.20; repeatable."),
 ]
 Output = Annotated[Path, typer.Option("--output", "-o", help="Body file to write.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace the file if it is there.")]
 
 
 @body_app.command("list", epilog="Example: mocap-gateway body list")
@@ -96,7 +95,7 @@ def check(body: BodyName) -> None:
     epilog="Example: mocap-gateway body scale human_17 --height 1.62 --length shank=0.38 -o anna.yaml"
 )
 def scale(
-    body: BodyName, output: Output, height: Height = None, length: Lengths = None, force: Force = False
+    body: BodyName, output: Output, height: Height = None, length: Lengths = None, force: ReplaceFiles = False
 ) -> None:
     """Write a body file with a person's lengths.
 
@@ -150,9 +149,10 @@ def import_robot(
     floating: Annotated[
         bool, typer.Option("--floating", help="The base moves, and carries a module of its own.")
     ] = False,
-    force: Force = False,
+    force: ReplaceFiles = False,
 ) -> None:
     """Make a body file of a robot's URDF: links with what is fixed to them, joints, axes and limits."""
+    refuse_existing(output, force, source=urdf)
     robot = import_urdf(read_text(urdf), str(urdf), has_fixed_base=not floating)
     _write(output, f"# Imported from {urdf.name}.\n", robot.content, force)
     for note in robot.notes:
@@ -186,8 +186,7 @@ def _subject(height: float | None, mass: float | None, sex: str | None, lengths:
 
 
 def _write(path: Path, head: str, content: dict[str, Any], force: bool) -> None:
-    if path.exists() and not force:
-        raise GatewayError(f"{path} is there already: name another file, or give --force")
+    refuse_existing(path, force)
     text = head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
     with writing(path):
         path.write_text(text, encoding="utf-8")

@@ -81,7 +81,7 @@ def cameras(
     as_json: AsJson = False,
 ) -> None:
     """Calibrate cameras with a checkerboard or ChArUco board, or take over another program's calibration."""
-    _check_cameras(output, force=force)
+    _check_cameras(output, import_file, force=force)
     axis = axis_of(up)
     if import_file is not None:
         _take_over(import_file, axis, unit, output, as_json)
@@ -105,10 +105,10 @@ def _take_over(file: Path, axis: Axis, unit: str, output: Path, as_json: bool) -
     _print_cameras(output, [_camera_row(camera) for camera in found], as_json)
 
 
-def _check_cameras(output: Path, *, force: bool) -> None:
+def _check_cameras(output: Path, import_file: Path | None, *, force: bool) -> None:
     """Raise ``GatewayError`` for what can be found before any picture is read."""
     require_video_extra()
-    refuse_existing(output, force)
+    refuse_existing(output, force, source=import_file)
 
 
 def _calibrated(
@@ -215,6 +215,7 @@ def clocks(
         Path | None,
         typer.Option("--output", "-o", help="File to write [<rig>.clocks.yaml beside the config]"),
     ] = None,
+    force: ReplaceFiles = False,
     minute_s: Annotated[float, typer.Option(min=0.5, max=60, hidden=True)] = MINUTE_S,
     settling_s: Annotated[float, typer.Option(min=0, hidden=True)] = 15.0,
 ) -> None:
@@ -230,6 +231,7 @@ def clocks(
     target = output or config.parent / f"{Path(settings.rig).stem}.clocks.yaml"
     if not target.parent.is_dir():
         raise GatewayError(f"{target}: there is no folder {target.parent} to write it to")
+    refuse_existing(target, force)
     # Compiled beforehand: a kernel compiled while samples wait would delay their arrival times.
     warm_up()
     calibration = ClockCalibration(suit.module_ids, minutes, repetitions, minute_s, settling_s)

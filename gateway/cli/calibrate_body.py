@@ -164,8 +164,13 @@ def versions(rig: Annotated[Path, typer.Argument(help="Rig file that `calibrate 
     """List earlier versions of a rig file, the newest first."""
     from gateway.calibration.mounting import history
 
-    for path in history(rig):
+    earlier = history(rig)
+    if not (earlier or rig.exists()):
+        raise GatewayError(f"{rig} cannot be read: no such file")
+    for path in earlier:
         typer.echo(path.stem)
+    if not earlier:
+        typer.echo(f"no earlier version of {rig} is kept", err=True)
 
 
 def put_back(

@@ -32,7 +32,7 @@ from gateway.calibration.sensor_session import (
 )
 from gateway.calibration.sensors import ENOUGH_COVERAGE, EllipsoidResult, GyroscopeResult
 from gateway.cli.modules_suit import SuitChoice, with_suit
-from gateway.cli.options import link_of
+from gateway.cli.options import ReplaceFiles, link_of, refuse_existing
 from gateway.errors import GatewayError, nearest
 from gateway.settings import load_gateway_settings
 from gateway.sources.link_settings import LinkSettings
@@ -157,7 +157,7 @@ def sensors(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Rig file to write [<rig>.calibrated.yaml]")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the output file if it is there.")] = False,
+    force: ReplaceFiles = False,
     flash: Annotated[
         bool, typer.Option("--flash", help="Write to the modules, not to a rig file; needs --allow-writes.")
     ] = False,
@@ -310,8 +310,7 @@ def _target(source: Path, suit: SuitChoice, output: Path | None, force: bool, fl
     target = output or folder / f"{source.stem.removesuffix('.calibrated')}.calibrated.yaml"
     if not target.parent.is_dir():
         raise GatewayError(f"{target}: there is no folder {target.parent} to write it to")
-    if target.exists() and not force:
-        raise GatewayError(f"{target} is there already: name another file with --output, or give --force")
+    refuse_existing(target, force)
     return target
 
 

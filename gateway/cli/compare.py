@@ -245,6 +245,11 @@ def _notes(found: Agreement) -> list[str]:
     return lines
 
 
+def _number(value: float, decimals: int) -> str:
+    """Return a number as text; a dash for one that is not known."""
+    return "–" if np.isnan(value) else f"{value:.{decimals}f}"
+
+
 def _rows(found: Agreement) -> list[tuple[str, ...]]:
     """Return the table, in the columns of ``_HEADS``, numbers as text."""
     return [
@@ -252,7 +257,7 @@ def _rows(found: Agreement) -> list[tuple[str, ...]]:
             figures.segment,
             str(figures.frames),
             *(
-                "–" if np.isnan(value) else f"{value:.2f}"
+                _number(value, 2)
                 for value in (
                     figures.as_defined_rms_deg,
                     figures.axes_apart_deg,
@@ -264,7 +269,7 @@ def _rows(found: Agreement) -> list[tuple[str, ...]]:
                     figures.joint_rms_deg,
                 )
             ),
-            "–" if np.isnan(figures.position_rms_m) else f"{1e3 * figures.position_rms_m:.1f}",
+            _number(1e3 * figures.position_rms_m, 1),
         )
         for figures in found.segments
     ]
@@ -299,7 +304,7 @@ def difference_page(found: Difference, title: str) -> AnglePage:
             figures.segment,
             str(figures.frames),
             *(
-                f"{value:.3f}"
+                _number(value, 3)
                 for value in (
                     figures.mean_deg,
                     figures.rms_deg,

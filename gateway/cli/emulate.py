@@ -347,7 +347,8 @@ def emulate(wanted: Emulation) -> None:
         _play(source, transport, wanted, receiver, start_ns)
     except (OSError, can.CanError) as error:
         raise GatewayError(
-            f"the emulated suit cannot speak on {wanted.on}: {error}; {_REMEDIES[wanted.on]}"
+            f"the emulated suit cannot speak on {wanted.on}: {getattr(error, 'strerror', None) or error}; "
+            f"{_REMEDIES[wanted.on]}"
         ) from error
 
 

@@ -18,6 +18,7 @@ from gateway.batch.kinds import KINDS, REPORT
 from gateway.cli.options import AsJson, refuse_existing
 from gateway.cli.solving_options import SolvedOtherwise, with_solving
 from gateway.cli.terminal import progress_bar
+from gateway.errors import GatewayError
 from gateway.recording.exporters.formats import FORMATS, Axes
 from gateway.settings import check_method
 from gateway.support.extras import require_package
@@ -113,6 +114,14 @@ def _form(name: str, axes: Axes | None, unit: Unit | None) -> tuple[Axes, float]
     return axes or kind.axes, kind.units_per_m if unit is None else units_per_m(unit)
 
 
+def _ending(suffix: str) -> str:
+    return Path(f"x{suffix}").suffix
+
+
+_ENDINGS = {_ending(kind.suffix) for kind in FORMATS.values()}
+"""Last parts of all formats' suffixes."""
+
+
 def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: bool) -> Path:
     """Return where a format goes. Raises ``GatewayError`` if that would overwrite something."""
     suffix = FORMATS[name].suffix
@@ -124,7 +133,10 @@ def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: 
         path = output / f"{file.stem}{suffix}"
     else:
         path = output
-    refuse_existing(path, force)
+    refuse_existing(path, force, source=file)
+    ending = path.suffix.lower()
+    if ending in _ENDINGS - {_ending(suffix)}:
+        raise GatewayError(f"{path}: that is the ending of another format; of {name} it is {suffix}")
     return path
 
 
@@ -181,7 +193,7 @@ def report(
 
     require_package("matplotlib")
     target = output or file.with_suffix(".html")
-    refuse_existing(target, force)
+    refuse_existing(target, force, source=file)
     recording = open_recording(file)
 
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:

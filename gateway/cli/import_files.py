@@ -60,7 +60,7 @@ class Import:
         typer.Option(help="With --neutral: axis of the root's module that points forward."),
     ] = None
     rate: Annotated[
-        float | None, typer.Option(min=0.1, help="Samples a second, where files do not tell.")
+        float | None, typer.Option(min=0.5, max=20_000, help="Samples a second, where files do not tell.")
     ] = None
     align: Annotated[
         Literal["stamps", "start"], typer.Option(help="Modules by their time stamps, or all begin together.")
@@ -139,7 +139,7 @@ def _suit(
     if not found.segments:
         raise GatewayError(
             f"no module says by its name where it sits ({', '.join(recording.names.values())}): tell with "
-            f"--map '{next(iter(recording.names.values()))}=right_thigh' (segments: {', '.join(segments)})"
+            f"--map '{next(iter(recording.names.values()))}={segments[0]}' (segments: {', '.join(segments)})"
         )
     worn = Worn(found.segments, recording.local)
     notes = list(found.notes)

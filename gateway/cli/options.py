@@ -130,11 +130,15 @@ def seconds_of(option: str, text: str) -> tuple[float, float]:
     return float(span[1]), float(span[2])
 
 
-def refuse_existing(path: Path, force: bool, option: str | None = "--output") -> None:
+def refuse_existing(
+    path: Path, force: bool, option: str | None = "--output", source: Path | None = None
+) -> None:
     """Raise ``GatewayError`` for a file that is there, unless it may be replaced.
 
-    option: what names it; None: an argument.
+    option: what names it; None: an argument. source: what it is made of, which never may be.
     """
+    named = "" if option is None else f" with {option}"
+    if source is not None and path.exists() and source.exists() and path.samefile(source):
+        raise GatewayError(f"{path} is itself what is read: name another file{named}")
     if path.exists() and not force:
-        named = "" if option is None else f" with {option}"
         raise GatewayError(f"{path} exists: name another file{named}, or replace it with --force")

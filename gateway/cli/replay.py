@@ -138,15 +138,16 @@ def replay(
     """
     from gateway.recording import open_recording
 
+    factor = speed_of(speed)
+    if verified and (wanted.is_asked_for or output):
+        raise GatewayError(
+            "--verify compares with the recorded poses: leave out --with, --reconstructor, --delay-ms, "
+            "--smooth, --output"
+        )
     recording = open_recording(file)
     source = _source(recording, wanted, config)
     make_ready(source.settings.reconstructor)
     if verified:
-        if wanted.is_asked_for:
-            raise GatewayError(
-                "--verify compares with the recorded poses: leave out --with, --reconstructor, --delay-ms, "
-                "--smooth"
-            )
         _verify(recording, as_json)
     elif wanted.is_asked_for or output:
         _solve(recording, source, output or wanted.target(file), as_json)
@@ -154,7 +155,7 @@ def replay(
         _solve(recording, source, None, as_json)
     else:
         _note_others(recording, source)
-        replay_live(recording, source, speed_of(speed), embedded=embedded, as_json=as_json)
+        replay_live(recording, source, factor, embedded=embedded, as_json=as_json)
     if recording.defect is not None:
         typer.echo(f"note: {recording.defect}", err=True)
 
@@ -281,3 +282,7 @@ def _solve(recording: Recording, source: Source, target: Path | None, as_json: b
             f"{target}: {frames} poses; compare them with `mocap-gateway compare --same-session "
             f"{recording.meta.path} {target}`"
         )
+    if not frames:
+        ids = ", ".join(map(str, source.suit.module_ids))
+        wanted = f"has it samples of the rig's modules ({ids})" if ids else "has it samples"
+        raise GatewayError(f"{recording.meta.path} gives no pose: {wanted}? `mocap-gateway info` counts them")

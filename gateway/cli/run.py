@@ -313,6 +313,10 @@ def record(
         f"{status['written'].get('chunks', 0)} chunks, {status['written'].get('skeleton', 0)} poses"
         + (f", {status['part']} files" if status["part"] > 1 else "")
     )
+    if not status["written"].get("chunks", 0):
+        typer.echo(
+            f"note: nothing came over any link: `mocap-gateway doctor -c {config}` looks why", err=True
+        )
     if status.get("ended") != "stopped":
         typer.echo(f"the recording had to end: {status.get('ended')}", err=True)
         raise typer.Exit(1)
@@ -339,7 +343,9 @@ async def _end_after(seconds: float, service: Service, running: asyncio.Future[N
     """Cancel what runs so long after it has begun to record: outputs may take a while to start."""
     await service.begun.wait()
     await asyncio.sleep(seconds)
-    running.cancel()
+    # Cancelled while it ends, it would lose what it ends with.
+    if not service.is_ending:
+        running.cancel()
 
 
 def _screen(service: Service, settings: GatewaySettings) -> Table:

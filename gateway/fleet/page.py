@@ -42,6 +42,7 @@ body{font:15px system-ui,sans-serif;margin:1.5rem;background:var(--paper);color:
 h1{font-size:1.3rem;margin:0 0 .3rem}#sum{margin:0 0 1rem}a{color:var(--link)}
 table{border-collapse:collapse;width:100%}
 th,td{text-align:left;padding:.3rem .6rem;border-bottom:1px solid var(--line);vertical-align:top}
+td:first-child{min-width:10rem;overflow-wrap:anywhere}td:last-child{min-width:12rem}
 th{position:sticky;top:0;background:var(--paper);white-space:nowrap}
 .n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
 tr.alert{background:var(--warn)}.offline{color:var(--bad)}.online{color:var(--good)}

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import dataclass, replace
+from itertools import compress, islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.body.skeleton import Skeleton
+from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray, MarkerFit, SkeletonFrame, StatusArray
 
 _AT_ONCE = 1024
+_MADE_UP_AT_MOST, _MADE_UP_AT_LEAST = 10, 100_000
+"""Frames that may be interpolated: so many for each that was recorded, and so many anyway."""
 _STACKED = ("q_wb", "p_w", "angular_rate", "joint_acceleration", "sigma", "status")
 
 
@@ -65,15 +68,47 @@ class SkeletonArrays:
 
     @property
     def rate_hz(self) -> float:
-        """Frames a second, by the median interval; 0 with fewer than two frames."""
-        if len(self.time_ns) < 2:
-            return 0.0
-        return _exact(1e9 / float(np.median(np.diff(self.time_ns))))
+        """Frames a second, by the median interval; 0 with fewer than two instants."""
+        intervals = np.diff(self.time_ns)
+        onward = intervals[intervals > 0]
+        return _exact(1e9 / float(np.median(onward))) if len(onward) else 0.0
+
+    def only(self, kept: NDArray[np.bool_]) -> SkeletonArrays:
+        """Return some of the frames. kept: (F,)."""
+        fields: dict[str, Any] = {
+            name: getattr(self, name)[kept] for name in ("time_ns", "sequence", *_STACKED)
+        }
+        if self.markers is not None:
+            markers = self.markers
+            fields["markers"] = MarkerArrays(
+                markers.labels,
+                markers.positions[kept],
+                markers.virtual[kept],
+                markers.used[kept],
+                tuple(compress(markers.unlabelled, kept)),
+            )
+        return replace(self, **fields)
 
     @property
     def begins_s(self) -> float:
         """Of the first frame, by the time of the files that it was made from; 0 where it came live."""
         return 0.0 if self.origin_ns is None else float(self.time_ns[0] - self.origin_ns) * 1e-9
+
+
+def refuse_pauses(time_ns: IntArray, name: str) -> None:
+    """Raise ``GatewayError`` for instants (F,) that go on, but next to nothing of whose time was recorded.
+
+    At a regular rate that would take memory without end. name: what errors call it.
+    """
+    intervals = np.diff(time_ns)
+    n_regular = round((time_ns[-1] - time_ns[0]) / float(np.median(intervals))) + 1
+    if n_regular > max(_MADE_UP_AT_MOST * len(time_ns), _MADE_UP_AT_LEAST):
+        longest = int(np.argmax(intervals))
+        begins_s, lasts_s = (time_ns[longest] - time_ns[0]) * 1e-9, intervals[longest] * 1e-9
+        raise GatewayError(
+            f"{name}: {len(time_ns)} of {n_regular} frames were recorded, nothing from {begins_s:.0f} s on "
+            f"for {lasts_s:.0f} s: so much cannot be interpolated; end the recording before a pause"
+        )
 
 
 def _exact(rate_hz: float) -> float:

@@ -46,7 +46,7 @@ class Difference:
 def difference(first: SkeletonArrays, second: SkeletonArrays) -> Difference:
     """Compare ``first`` against ``second``. Frames belong together by time, within half a frame interval.
 
-    Raises ``GatewayError`` when the two have no segment or no instant in common.
+    Raises ``GatewayError`` when the two have no segment or no instant in common, or know no segment there.
     """
     names = tuple(name for name in first.segment_names if name in second.segment_names)
     if not names:
@@ -59,6 +59,8 @@ def difference(first: SkeletonArrays, second: SkeletonArrays) -> Difference:
     q_a = first.q_wb[rows_a][:, [first.skeleton.index(name) for name in names]]
     q_b = second.q_wb[rows_b][:, [second.skeleton.index(name) for name in names]]
     errors = np.degrees(np.stack(orientation_error(q_a, q_b)))  # (3, F, S)
+    if np.isnan(errors[0]).all():
+        raise GatewayError("no segment is known in both at any common instant: nothing to compare")
     time_ns = first.time_ns[rows_a]
     return Difference(
         time_s=(time_ns - time_ns[0]) * 1e-9,

@@ -101,6 +101,8 @@ class Service:
         self.settings, self.others = settings, others
         self.begun = asyncio.Event()
         """Whether all that could keep it from running is open."""
+        self.is_ending = False
+        """Whether it closes what is open, by itself or since it was cancelled."""
         self.failed_chunks = 0
         """Chunks that a defect of ours kept from being handled."""
         self._ingesting: list[asyncio.Task[None]] = []
@@ -322,6 +324,7 @@ class Service:
                 await first_to_end(self._ingest_all(), self.mqtt.until_name_is_taken())
                 await self._until_others_are_done()
             finally:
+                self.is_ending = True
                 # First what may still use the outputs, then the recording, so that its last event is the end.
                 for companion in (*companions, *others):
                     companion.cancel()

@@ -46,9 +46,9 @@ class BodySteps(StepTab):
         chosen = step_name(self._language, self._at) if self._at in self._steps else None
         height_m = self._measures["subject"].get("height_m", USUAL_HEIGHT_M)
         why = gui.add_html(line(self._translated("measures_why")))
-        self._height = gui.add_number(self._translated("height"), height_m, min=0.5, max=2.5, step=0.01)
+        self._height = gui.add_number(self._translated("height"), height_m, min=0.0, step=0.01)
         self._length = gui.add_dropdown(self._translated("length"), (NOTHING, *self._limbs()))
-        self._metres = gui.add_number(self._translated("metres"), 0.0, min=0.0, max=1.99, step=0.005)
+        self._metres = gui.add_number(self._translated("metres"), 0.0, min=0.0, step=0.005)
         self._length.on_update(lambda _: self._show_length())
         measure = self._button("measure", self._measure)
         begin, resume = self._button("begin", self._begin), self._button("resume", self._resume)

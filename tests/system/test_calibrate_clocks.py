@@ -91,11 +91,21 @@ async def test_modules_on_a_port_are_measured_in_real_time(command, tmp_path):
     assert set(table.ranking) == set(suit.module_ids)
 
 
-def test_what_cannot_be_measured_is_one_line(tmp_path):
-    config, table = write_config(tmp_path), tmp_path / "no" / "such" / "table.yaml"
-    code, _, error = typed_here(["calibrate", "clocks", "-c", config, "-o", table])
+@pytest.mark.parametrize(
+    ("output", "told"),
+    [
+        (["-o", "no/such/table.yaml"], "there is no folder"),
+        (["-o", "gateway.yaml"], "gateway.yaml exists: name another file with --output, or replace it"),
+        ([], "robot_arm_4.clocks.yaml exists: name another file"),
+    ],
+)
+def test_what_cannot_be_measured_is_one_line(tmp_path, monkeypatch, output, told):
+    monkeypatch.chdir(tmp_path)
+    config = write_config(tmp_path)
+    (tmp_path / "robot_arm_4.clocks.yaml").touch()
+    code, _, error = typed_here(["calibrate", "clocks", "-c", config, *output])
     assert code == 1
-    assert "there is no folder" in error
+    assert told in error
     assert len(error.strip().splitlines()) == 1
 
 

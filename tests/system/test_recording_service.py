@@ -20,6 +20,7 @@ from gateway.cli.run import record
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
 from gateway.recording import files, open_recording
+from gateway.recording.control import RecordingControl
 from gateway.recording.recovery import recover_in_place
 from gateway.recording.solving import verify
 from gateway.service.service import Service
@@ -281,3 +282,26 @@ def test_a_recording_that_is_ended_before_it_begins_says_so(tmp_path, mosquitto,
     with pytest.raises(GatewayError, match="nothing was recorded: it was ended before it had begun"):
         record(config_of(tmp_path, tmp_path / "port", mosquitto.port), quiet=True)
     assert not list(tmp_path.glob("**/*.mcap"))
+
+
+def recorded_of(url, tmp_path, mosquitto, monkeypatch, seconds=0.1):
+    monkeypatch.setattr("gateway.cli.run.set_up_logging", lambda *_: None)
+    record(config_of(tmp_path, url, mosquitto.port), seconds=seconds, quiet=True)
+
+
+def test_a_time_that_runs_out_while_an_error_ends_all_hides_no_error(tmp_path, mosquitto, monkeypatch):
+    """It ended as if all were well."""
+    stopped = RecordingControl.stop
+
+    async def slowly(self):
+        await asyncio.sleep(0.3)
+        return await stopped(self)
+
+    monkeypatch.setattr(RecordingControl, "stop", slowly)
+    with pytest.raises(GatewayError, match=r"absent\.mcap cannot be read"):
+        recorded_of("recording:///absent.mcap", tmp_path, mosquitto, monkeypatch)
+
+
+def test_a_recording_of_nothing_tells_where_to_look(tmp_path, mosquitto, monkeypatch, capsys):
+    recorded_of(tmp_path / "absent", tmp_path, mosquitto, monkeypatch)
+    assert "nothing came over any link: `mocap-gateway doctor -c" in capsys.readouterr().err

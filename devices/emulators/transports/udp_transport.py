@@ -31,7 +31,14 @@ class UdpTransport:
         return f"udp://{self.host}:{self.port}" if self._is_open else ""
 
     async def open(self) -> None:
-        """Begin; sockets are opened as devices begin to send."""
+        """Begin; sockets are opened as devices begin to send.
+
+        Raises ``OSError`` for a host without address.
+        """
+        try:
+            await asyncio.get_running_loop().getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)
+        except UnicodeError as error:  # of names with parts that none may have
+            raise OSError(f"{self.host}: {error}") from error
         self._is_open = True
 
     def offer(self, data: bytes) -> bool:

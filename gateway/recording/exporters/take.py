@@ -14,6 +14,7 @@ from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray
 from gateway.recording import Recording, SkeletonArrays
+from gateway.recording.arrays import refuse_pauses
 from gateway.recording.exporters.formats import Axes
 
 _TURNS_DEG = {Axes.Z_UP: 0.0, Axes.Y_UP: -90.0}
@@ -109,16 +110,16 @@ def rotation(q: FloatArray) -> Rotation:
 def take_of(arrays: SkeletonArrays, name: str, axes: Axes, recording: Recording | None = None) -> Take:
     """Make a take of a recorded result.
 
-    Raises ``GatewayError`` with one frame, or if the root is never known.
+    Raises ``GatewayError`` with one frame, if the root is never known, or where next to nothing of the time
+    was recorded.
 
     A segment that is never known, as its module was dead, keeps the neutral posture against its parent.
     Frames that were not recorded, and orientations that were not known, are interpolated between their
-    neighbours in time; before the first and after the last known one it is repeated.
+    neighbours in time; before the first and after the last known one it is repeated. Frames that are not
+    later than those before are left out.
     """
-    if len(arrays.time_ns) < 2:
-        raise GatewayError(f"{name} has {len(arrays.time_ns)} frame(s): a motion needs two at least")
+    arrays, index = _in_order(arrays, name)
     rate_hz = arrays.rate_hz
-    index = np.round((arrays.time_ns - arrays.time_ns[0]) * 1e-9 * rate_hz).astype(np.int64)
     grid = np.arange(index[-1] + 1)
     q_wb, filled = _filled_orientations(_known_orientations(arrays, name), index, grid)
     filled[:, _never_known(arrays)] = True
@@ -141,6 +142,19 @@ def take_of(arrays: SkeletonArrays, name: str, axes: Axes, recording: Recording 
         begins_s=arrays.begins_s,
         recording=recording,
     )
+
+
+def _in_order(arrays: SkeletonArrays, name: str) -> tuple[SkeletonArrays, IntArray]:
+    """Return the frames that are later than all before them, and their places (F,) at the regular rate."""
+    index = np.round((arrays.time_ns - arrays.time_ns[0]) * 1e-9 * arrays.rate_hz).astype(np.int64)
+    is_later = np.diff(np.maximum.accumulate(index), prepend=-1) > 0
+    if not is_later.all():
+        arrays, index = arrays.only(is_later), index[is_later]
+    n = len(index)
+    if n < 2:
+        raise GatewayError(f"{name} has {n} frame(s): a motion needs two at least")
+    refuse_pauses(arrays.time_ns, name)
+    return arrays, index
 
 
 def _never_known(arrays: SkeletonArrays) -> NDArray[np.bool_]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from devices.emulators.recordings import play
 from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
@@ -184,3 +185,9 @@ def test_a_thousands_separator_is_no_end_of_a_cell(tmp_path):
 def test_a_column_that_is_there_twice_is_not_chosen_from(tmp_path):
     with pytest.raises(FormatError, match="column 'ax' is there twice"):
         read(tmp_path, [f"{row},0" for row in rows_of(50)], f"{HEAD},ax")
+
+
+@pytest.mark.parametrize("rate_hz", [1e-300, 1e300, float("nan")])
+def test_a_rate_that_no_module_samples_at_is_refused_in_a_map(rate_hz):
+    with pytest.raises(ValidationError, match="rate_hz"):
+        ColumnMap.model_validate({"rate_hz": rate_hz, "modules": [MODULE]})

@@ -83,6 +83,7 @@ def test_a_rig_may_lie_anywhere_and_name_a_body_beside_it(tmp_path):
         ),
         ({"extra": ", sensor_to_segment: [1, 1, 0, 0]"}, "length 1 is wanted, this one has length 1.414"),
         ({"extra": ", position: [0, .nan, 0]"}, r"modules\.1\.position\.1.*finite"),
+        ({"extra": ", position: [30, 0, 120]"}, r"modules\.1\.position\.0' is 30: at most 20 is wanted"),
         ({"more": "world: {gravity: 98}"}, r"'world\.gravity' is 98.*less than 10"),
         (
             {"more": "local_devices: [{kind: position, segment: link_1}]"},

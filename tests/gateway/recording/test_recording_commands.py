@@ -12,6 +12,7 @@ import yaml
 from mcap.reader import make_reader
 from typer.testing import CliRunner
 
+from devices import recording_format as fmt
 from devices.link import Framing
 from devices.recording_writer import RecordingWriter, session_record
 from gateway.cli.main import app, main
@@ -44,7 +45,8 @@ def test_a_difference_after_a_damaged_piece_is_put_down_to_that(record):
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    piece = max(summary.chunk_indexes, key=lambda index: index.chunk_length)  # the others may hold no samples
+    samples = {i for i, channel in summary.channels.items() if channel.topic.startswith(fmt.CHUNKS)}
+    piece = next(index for index in summary.chunk_indexes if samples & index.message_index_offsets.keys())
     data[piece.chunk_start_offset + piece.chunk_length // 2] ^= 0xFF
     path.write_bytes(data)
     code, output = typed("replay", path, "--verify")
@@ -155,6 +157,9 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
     [
         (("replay", "absent.mcap"), "recording absent.mcap cannot be read: No such file"),
         (("info", __file__), "is no recording of mocap-gateway"),
+        (("analyse", __file__), "is no recording of mocap-gateway"),
+        (("analyse", "{path}"), "does not tell what the person weighs"),
+        *(((words, "{cut}"), "was cut off at byte 2000, before its first") for words in ("info", "recover")),
         (("recover", "absent.mcap"), "cannot be read"),
         (("recover", "x.mcap", "--in-place", "--output", "y.mcap"), "not both"),
         (("recordings", "absent"), "there is no folder absent"),
@@ -169,6 +174,22 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
         (("replay", "{path}", "--verify", "--with", "single"), "leave out --with"),
         (("replay", "{path}", "--output", "{path}"), "exists already"),
         (("compare", "{path}", "{path}", "--same-session", "--plot", "plot.gif"), "a plot is written as"),
+        (
+            ("replay", "{path}", "--offline", "--with", "{others}"),
+            "gives no pose: has it samples of the rig's mod",
+        ),
+        (("export", "{path}", "--to", "csv", "--force", "-o", "{path}"), "is itself what is read"),
+        (
+            ("export", "{path}", "--to", "csv", "-o", "x.bvh"),
+            "the ending of another format; of csv it is .csv",
+        ),
+        (
+            ("report", "{path}", "--force", "-o", "{path}"),
+            "is itself what is read: name another file with --ou",
+        ),
+        (("calibrate", "history", "absent.yaml"), "absent.yaml cannot be read: no such file"),
+        (("emulate", "--rig", "single", "--on", "udp", "--host", 64 * "x"), "correct --host"),
+        (("replay", "{path}", "--verify", "--output", "x.mcap"), "--smooth, --output"),
         (("replay", "{path}", "--output", "none/x.mcap"), "none: No such file or directory: name a place"),
     ],
 )
@@ -178,8 +199,12 @@ def test_what_cannot_be_is_said_in_a_line(
     path, card = record(chunks=arm_chunks[:60]), tmp_path / "card.mcap"
     with RecordingWriter(card, session_record({"card": Framing.BYTE_STREAM}), {}, 0):
         pass
+    others = tmp_path / "others.yaml"
+    others.write_text("body: robot_arm_4\nmodules: [{id: 20, segment: link_1}, {id: 21, segment: link_2}]\n")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:2000])  # within what it says of itself
     monkeypatch.chdir(tmp_path)
-    given = [argument.format(path=path, card=card) for argument in arguments]
+    given = [argument.format(path=path, card=card, cut=cut, others=others) for argument in arguments]
     monkeypatch.setattr(sys, "argv", ["mocap-gateway", *given])
     with pytest.raises(SystemExit) as ended:
         main()

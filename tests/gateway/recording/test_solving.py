@@ -129,6 +129,8 @@ def test_results_are_compared_where_both_have_the_instant(record):
     assert np.nanmax(found.angle_deg) < 1e-5
     with pytest.raises(GatewayError, match="no instant in common"):
         difference(arrays, dataclasses.replace(arrays, time_ns=arrays.time_ns + 10**12))
+    with pytest.raises(GatewayError, match="no segment is known in both"):
+        difference(arrays, dataclasses.replace(arrays, q_wb=np.full_like(arrays.q_wb, np.nan)))
     named = dataclasses.replace(
         arrays.skeleton, segment_names=("a", "b", "c", "d")[: len(arrays.segment_names)]
     )

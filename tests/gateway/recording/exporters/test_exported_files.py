@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from devices.emulators.motions import BodyMotion
 from devices.marker_files import read_markers
+from gateway.agreement import tracks_of
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, move
 from gateway.errors import GatewayError
@@ -112,6 +113,44 @@ def test_a_segment_that_was_never_known_stays_with_its_parent_and_that_is_told()
 def test_a_root_that_was_never_known_is_refused():
     with pytest.raises(GatewayError, match=f"{ARRAYS.segment_names[0]} never had an orientation"):
         take_of(never_known(0), "walk", Axes.Z_UP)
+
+
+def at_other_times(changed):
+    time_ns = ARRAYS.time_ns.copy()
+    changed(time_ns)
+    return replace(ARRAYS, time_ns=time_ns)
+
+
+def turn_back(time_ns):
+    time_ns[50:] -= 30_000_000
+
+
+def stand_still(time_ns):
+    time_ns[:] = time_ns[0]
+
+
+def pause(time_ns):
+    time_ns[50:] += 86_400 * 10**9
+
+
+def test_instants_that_are_not_later_than_those_before_are_left_out():
+    """The answer was an error of the interpolation."""
+    take = take_of(at_other_times(turn_back), "walk", Axes.Z_UP)
+    assert len(take.q_wb) == FRAMES - 3
+    assert (np.diff(take.recorded.time_ns) > 0).all()
+    assert len(take.recorded.time_ns) == len(take.recorded.q_wb) == len(ARRAYS.time_ns) - 3
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [(stand_still, "has 1 frame"), (pause, r"118 of 8640120 frames were recorded, .* for 86400 s")],
+)
+def test_times_of_which_no_motion_can_be_made_are_refused(changed, told):
+    """A pause of days took all memory there was."""
+    with pytest.raises(GatewayError, match=told):
+        take_of(at_other_times(changed), "walk", Axes.Z_UP)
+    with pytest.raises(GatewayError, match="walk"):
+        tracks_of(at_other_times(changed), 0, "walk")
 
 
 def test_bvh_read_by_bvhio(tmp_path):
