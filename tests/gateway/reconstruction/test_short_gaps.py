@@ -135,3 +135,14 @@ def test_a_lone_module_that_turned_unseen_turns_back_to_the_field_at_once():
     off_deg = np.degrees((found * Rotation.from_rotvec(-np.outer(times_s, rate))).magnitude())
     assert off_deg[(times_s > 7.0) & (times_s < 8.0)].max() < 1.0
     assert off_deg[times_s > 12.0].max() < 10.0
+
+
+@pytest.mark.parametrize("hours", [0.01, 6.0, 1200.0])
+def test_modules_that_come_back_one_after_another_after_hours_have_poses(frames, hours):
+    """What a segment had in common with one that had begun anew was kept: poses became NaN, for ever."""
+    pause_ns = round(hours * 3600e9)
+    later = [replace(frame, time_ns=frame.time_ns + pause_ns) for frame in frames[500:900]]
+    for s in range(len(frames[0].status)):
+        later = silent(later, s, 0, 5 * s)
+    poses = JointReconstructor(SUIT, 0.01, ChainSettings(uses_field=False)).update_many(frames[:500] + later)
+    assert all(np.isfinite(pose.q_wb).all() for pose in poses[-300:])

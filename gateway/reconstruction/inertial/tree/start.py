@@ -54,6 +54,8 @@ def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None
         if segment.started != STARTED:
             if now.validity == FORCE:
                 _start(segment, links[s], now, body.world, tuning)
+                if segment.started == STARTED:
+                    _part_from_children(links, segments, s)
             if segment.started != STARTED:
                 now.validity = NOTHING
 
@@ -103,6 +105,17 @@ def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning:
         segment.bias[i], segment.rate[i], segment.rate_slope[i] = 0.0, w[i], np.nan
         # means of one sample: begun at zero, gravity alone would be a change for seconds
         segment.zero_rate.rate[i], segment.zero_rate.force[i] = w[i], f[i]
+
+
+@compiled
+def _part_from_children(links: Records[Link], segments: Records[Segment], s: int) -> None:
+    """Forget what segments have in common with their parent s, which starts with errors of its own.
+
+    Kept beside a P that is new, such a C would be no covariance.
+    """
+    for c in range(s + 1, len(links)):
+        if links[c].parent == s:
+            segments[c].C[...] = 0.0
 
 
 @compiled
