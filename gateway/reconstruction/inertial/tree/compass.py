@@ -18,7 +18,7 @@ from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records
 from gateway.geometry.vectors import dot, is_finite
-from gateway.reconstruction.inertial.tree.start import give_of, tilt_square
+from gateway.reconstruction.inertial.tree.start import agreed, give_of, tilt_square
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Compass,
@@ -338,14 +338,13 @@ def _expect_unobserved(segment: Segment, now: SegmentWork, has_parent: bool, tun
     That counts only where its two sides agree well enough.
     """
     sums, unknown = segment.heading_sums, tuning.unknown_heading**2
-    concentration = math.hypot(sums.along, sums.across)
     if has_parent:
         now.apart = unknown
-    if concentration > tuning.heading_coherence * sums.length:
-        now.apart = 1.0 / (1.0 / now.apart + concentration / tuning.heading_density)
-        # what is next to nothing is noise, and would turn a body at rest
-        share = concentration**2 / (concentration**2 + tuning.heading_noise**2)
-        now.expected = -math.atan2(sums.across, sums.along) * share
+    concentration = agreed(sums.along, sums.across, sums.length, tuning)
+    now.apart = 1.0 / (1.0 / now.apart + concentration / tuning.heading_density)
+    # what is next to nothing is noise, and would turn a body at rest
+    share = concentration**2 / (concentration**2 + tuning.heading_noise**2)
+    now.expected = -math.atan2(sums.across, sums.along) * share
 
 
 @compiled

@@ -269,12 +269,20 @@ def shown_between(segment: Segment, parent: Segment, tuning: Tuning) -> tuple[fl
 
 
 @compiled
+def agreed(along: float, across: float, length: float, tuning: Tuning) -> float:
+    """Return κ of (54), less where the two sides' horizontal accelerations hardly agree, (55)."""
+    concentration = math.hypot(along, across)
+    if length == 0.0:
+        return 0.0
+    agreement = concentration / length / tuning.heading_coherence
+    return float(concentration * min(agreement, 1.0) ** 4)
+
+
+@compiled
 def _shown(along: float, across: float, length: float, seconds: float, tuning: Tuning) -> tuple[float, float]:
     """Return variance (rad²) and angle (rad) of the heading by the sums of (54), (55); 0: not yet."""
-    concentration = math.hypot(along, across)
+    concentration = agreed(along, across, length, tuning)
     if seconds < tuning.heading_time_s or concentration < tuning.heading_evidence:
-        return 0.0, 0.0
-    if concentration < tuning.heading_coherence * length:
         return 0.0, 0.0
     return tuning.heading_density / concentration, math.atan2(across, along)
 
@@ -328,10 +336,10 @@ def forget_evidence(sums: HeadingSums) -> None:
 @compiled
 def is_contradicted(sums: HeadingSums, tuning: Tuning) -> bool:
     """Return whether motion clearly shows that a heading that was taken as shown is far off."""
-    concentration = math.hypot(sums.along, sums.across)
-    is_clear = concentration > tuning.heading_contradiction * tuning.heading_evidence
-    is_clear = is_clear and concentration > tuning.heading_coherence * sums.length
-    return bool(is_clear and sums.along < math.cos(tuning.heading_far_off) * concentration)
+    shown = agreed(sums.along, sums.across, sums.length, tuning)
+    is_clear = shown > tuning.heading_contradiction * tuning.heading_evidence
+    is_far_off = sums.along < math.cos(tuning.heading_far_off) * math.hypot(sums.along, sums.across)
+    return bool(is_clear and is_far_off)
 
 
 @compiled
