@@ -146,13 +146,15 @@ def test_one_that_is_stronger_or_flatter_is_believed_no_more_for_turning(wrong):
     parents=st.lists(st.integers(0, 100), min_size=1, max_size=7),
     seed=st.integers(0, 2**32 - 1),
     has_field=st.booleans(),
+    is_world_shown=st.booleans(),
 )
-def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has_field):
+def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has_field, is_world_shown):
     """(32) beside one dense system; the root free to move at once."""
     rng = np.random.default_rng(seed)
     parents = [-1, *(p % (s + 1) for s, p in enumerate(parents))]
     n = len(parents)
     body, state, work = replace_parents(parents), initial_state(n, 0), work_space(n)
+    body.segments[0].heading_observable = int(is_world_shown)
     for s, segment in enumerate(state.segments):
         segment.started, segment.heading = kernels.STARTED, Heading.OBSERVED.value
         segment.P[2, 2] = rng.uniform(0.1, 0.2)
@@ -175,9 +177,15 @@ def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has
     seen = np.array([c.seconds > 0.0 for c in compasses])
     apart = np.array([now.apart for now in work.segments])
     expected = np.array([now.expected for now in work.segments])
+    follows = np.array([now.follows for now in work.segments])
     for s, segment in enumerate(state.segments):
         if segment.heading == Heading.OBSERVED.value:
             assert expected[s] == 0.0
+            above = state.segments[parents[s]].P[2, 2]
+            if s > 0:
+                assert follows[s] == pytest.approx(segment.C[2, 2] / above if is_world_shown else 1.0)
+                between = segment.P[2, 2] + follows[s] ** 2 * above - 2.0 * follows[s] * segment.C[2, 2]
+                assert apart[s] == pytest.approx(between)
             continue
         kappa = np.hypot(segment.heading_sums.along, segment.heading_sums.across)
         psi = np.arctan2(segment.heading_sums.across, segment.heading_sums.along)
@@ -199,9 +207,9 @@ def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has
     # the mean of all as the chain hangs together; then a root between that and the filter
     A, b = np.diag(weight), weight * angle
     for s, p in enumerate(parents[1:], start=1):
-        A[np.ix_([s, p], [s, p])] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / apart[s]
-        b[s] += expected[s] / apart[s]
-        b[p] -= expected[s] / apart[s]
+        row = np.array([1.0, -follows[s]])
+        A[np.ix_([s, p], [s, p])] += np.outer(row, row) / apart[s]
+        b[[s, p]] += row * expected[s] / apart[s]
     if has_field:
         spread = np.linalg.inv(A)
         share = apart[0] / (apart[0] + variance + spread[0, 0])
@@ -212,6 +220,62 @@ def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has
     if n > 1:  # given the root, the others
         rest = np.linalg.solve(A[1:, 1:], b[1:] - A[1:, 0] * compasses[0].error)
         np.testing.assert_allclose([c.error for c in compasses[1:]], rest, atol=1e-9)
+
+
+def a_settled_body(n):
+    """A chain whose headings are known against each other, published where they are for long; work done."""
+    body, state, work = replace_parents([-1, *range(n - 1)]), initial_state(n, 0), work_space(n)
+    for s, segment in enumerate(state.segments):
+        segment.started, segment.heading = kernels.STARTED, Heading.OBSERVED.value
+        segment.P[2, 2], segment.C[2, 2] = 0.0101, 0.01
+        start_compass(segment.compass, TUNING)
+        compass = segment.compass
+        compass.seconds, compass.settled_s, compass.error = 60.0, 60.0, 0.2
+        compass.variance, compass.offset_square = 0.02, 0.5
+        compass.angle = 0.2 + (0.8, -0.3, 0.4, 0.6)[s % 4]
+    kernels.share_headings(body, state, TUNING, work, DT)
+    return body, state, work
+
+
+def published_errors(state):
+    return np.array([segment.compass.error for segment in state.segments])
+
+
+def test_a_root_that_is_lost_and_found_does_not_turn_the_body():
+    """What was published turned with the root, and jumped as it was found again."""
+    body, state, work = a_settled_body(4)
+    before = published_errors(state)
+    root = state.segments[0]
+    root.P[2, 2], root.C[2, 2], root.compass.variance = 1.0, 0.0, 1.0
+    for _ in range(100):
+        kernels.share_headings(body, state, TUNING, work, DT)
+    np.testing.assert_allclose(published_errors(state)[1:].mean(), before[1:].mean(), atol=0.01)
+    root.P[2, 2], root.compass.angle, work.segments[0].compass_turn = 0.0101, root.compass.angle - 1.2, -1.2
+    kernels.share_headings(body, state, TUNING, work, DT)
+    work.segments[0].compass_turn = 0.0
+    np.testing.assert_allclose(published_errors(state)[1:].mean(), before[1:].mean(), atol=0.02)
+
+
+def test_a_whole_turn_of_one_compass_is_none():
+    """The compass of a segment that was lost made all others seem a whole turn off."""
+    body, state, work = a_settled_body(4)
+    before = published_errors(state)
+    state.segments[0].compass.angle += 2.0 * np.pi
+    kernels.share_headings(body, state, TUNING, work, DT)
+    within = np.angle(np.exp(1j * (published_errors(state) - before)))
+    np.testing.assert_allclose(within, 0.0, atol=1e-3)
+
+
+def test_a_segment_beyond_one_that_is_lost_does_not_follow_its_compass_where_a_device_shows_the_world():
+    body, state, work = a_settled_body(4)
+    body.segments[0].heading_observable = 1
+    for segment in state.segments:
+        segment.P[2, 2], segment.C[2, 2], segment.compass.error = 1e-3, 9e-4, 0.0
+    state.segments[1].P[2, 2] = 0.5
+    kernels.share_headings(body, state, TUNING, work, DT)
+    found = published_errors(state)
+    assert abs(found[1]) > 0.02
+    np.testing.assert_array_less(np.abs(found[[0, 2, 3]]), 0.5 * abs(found[1]))
 
 
 def replace_parents(parents):

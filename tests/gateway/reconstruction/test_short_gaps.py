@@ -78,8 +78,12 @@ def test_a_segment_that_came_back_amid_a_body_does_not_turn_the_body():
     assert abs(turns[0]) < 0.01
 
 
-@pytest.mark.parametrize(("variance", "is_anew"), [(None, False), (1e-3, True)], ids=["lost", "known"])
-def test_a_body_is_to_turn_to_its_compasses_only_where_its_own_heading_was_found_anew(variance, is_anew):
+@pytest.mark.parametrize(
+    ("lost", "joint", "is_anew"),
+    [(-1, -1, False), (0, 1, False), (None, -1, True)],
+    ids=["the last", "the root", "none"],
+)
+def test_a_body_is_to_turn_to_its_compasses_only_where_its_own_heading_was_found_anew(lost, joint, is_anew):
     """A module that came back turned whole bodies after compasses that were wrong."""
     numbers, n = tuning(), len(SUIT.skeleton.parents)
     body, state, work = chain_body(SUIT, uses_field=True), initial_state(n, 0), work_space(n)
@@ -87,9 +91,10 @@ def test_a_body_is_to_turn_to_its_compasses_only_where_its_own_heading_was_found
     for s in range(n):
         segments[s].P[2, 2], segments[s].started = 1e-3, 1
         segments[s].heading = Heading.OBSERVED.value
-    segments[n - 1].P[2, 2] = numbers.unknown_heading**2 if variance is None else variance
+    if lost is not None:
+        segments[lost % n].P[2, 2] = numbers.unknown_heading**2
     segments[0].compass.settled_s = 100.0
-    turn_beyond(body, state, numbers, work, n - 1, 1.0)
+    turn_beyond(body, state, numbers, work, joint % n, 1.0)
     assert (segments[0].compass.settled_s == 0.0) == is_anew
 
 

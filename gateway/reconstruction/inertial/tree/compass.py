@@ -18,7 +18,7 @@ from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records
 from gateway.geometry.vectors import dot, is_finite
-from gateway.reconstruction.inertial.tree.start import agreed, give_of, tilt_square
+from gateway.reconstruction.inertial.tree.start import agreed, give_of, root_of, tilt_square
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Compass,
@@ -243,33 +243,40 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
         now, p = works[s], links[s].parent
         compass = segments[s].compass
         if compass.seconds > 0.0:
-            off = now.unwrapped - compass.error
+            off = _within_half_a_turn(now.unwrapped - compass.error)
             weight = now.knows / (variance + off * off)
             now.information += weight
             now.information_angle += weight * now.unwrapped
-            now.information_turn += weight * now.compass_turn
         is_first = segments[s].heading == UNOBSERVED or now.apart == CUT_OFF
         # (32) without any compass: what hangs together turns by its share
         if variance == 0.0 and p >= 0 and is_first:
             now.information += 1.0 / give_of(segments[s], tuning)
         if p >= 0:
             passed = 1.0 / (1.0 + now.apart * now.information)
-            works[p].information += passed * now.information
-            works[p].information_angle += passed * (now.information_angle - now.expected * now.information)
-            works[p].information_turn += passed * now.information_turn
+            against = now.information_angle - now.expected * now.information
+            works[p].information += now.follows**2 * passed * now.information
+            works[p].information_angle += now.follows * passed * against
     # (32) from root to leaves
     for s in range(len(links)):
         now, p, compass = works[s], links[s].parent, segments[s].compass
         total = 1.0 + now.apart * now.information
+        now.error_before = compass.error
         if p >= 0:
-            above = segments[p].compass
-            compass.error = (above.error + now.expected + now.apart * now.information_angle) / total
-            compass.error_variance = now.apart / total + above.error_variance / (total * total)
-        elif variance > 0.0:
-            _turn_root(compass, now, variance, unseen, tuning, dt)
+            above, follows = segments[p].compass, now.follows
+            by_parent = follows * above.error + now.expected
+            compass.error = (by_parent + now.apart * now.information_angle) / total
+            compass.error_variance = now.apart / total + (follows / total) ** 2 * above.error_variance
+        elif variance > 0.0 and now.information > 0.0:
+            share = _compass_share(now, variance)
+            compass.error = now.expected + share * (now.information_angle / now.information - now.expected)
+            compass.error_variance = now.apart * (1.0 - share)
         else:
             compass.error = (now.expected + now.apart * now.information_angle) / total
             compass.error_variance = segments[s].P[2, 2]
+    if variance > 0.0:
+        for root in range(len(links)):
+            if links[root].parent < 0:
+                _turn_body(links, segments, works, root, variance, unseen, tuning, dt)
 
 
 @compiled
@@ -307,12 +314,17 @@ def _compare(
     is_world_shown = shows_world(links, segments)
     for s in range(len(links)):
         segment, now, p = segments[s], works[s], links[s].parent
-        before, now.information, now.information_angle, now.information_turn = 0.0, 0.0, 0.0, 0.0
-        now.expected = 0.0
+        before, now.information, now.information_angle = 0.0, 0.0, 0.0
+        now.expected, now.follows = 0.0, 1.0
         if p >= 0:
-            before = works[p].unwrapped
-            shared = segment.C[2, 2] if is_tree else segments[p].P[2, 2]
-            now.apart = max(segment.P[2, 2] + segments[p].P[2, 2] - 2.0 * shared, LEAST_APART)
+            above = segments[p].P[2, 2]
+            shared = segment.C[2, 2] if is_tree else above
+            if is_world_shown and segment.heading != UNOBSERVED:
+                # it may know where it heads although its parent does not
+                now.follows = shared / max(above, LEAST_APART)
+            square = now.follows * (now.follows * above - 2.0 * shared)
+            now.apart = max(segment.P[2, 2] + square, LEAST_APART)
+            before = now.follows * works[p].unwrapped
         else:
             now.apart = give_of(segment, tuning)
             if has_compass and not is_world_shown:
@@ -406,31 +418,64 @@ def _turned_unseen(
 
 
 @compiled
-def _turn_root(
-    compass: Compass, now: SegmentWork, variance: float, unseen: float, tuning: Tuning, dt: float
-) -> None:
-    """Set ``compass.error`` and ``error_variance`` of a root, and so of its whole chain, equation (34).
+def _compass_share(now: SegmentWork, variance: float) -> float:
+    """Return how much of what is published of a root its compasses say, where the filter says the rest."""
+    field = variance + 1.0 / now.information  # the building's field is off for all alike too
+    return now.apart / (now.apart + field)
 
-    The error follows at once while headings of the chain are being found, and by what the body may have
-    turned unseen; else only as fast as the gyroscope may drift, and hardly at all where the field is wrong.
+
+@compiled
+def _turn_body(
+    links: Records[Link],
+    segments: Records[Segment],
+    works: Records[SegmentWork],
+    root: int,
+    variance: float,
+    unseen: float,
+    tuning: Tuning,
+    dt: float,
+) -> None:
+    """Limit by how much the body of ``root`` turns by its compasses in an instant, equation (34).
+
+    It is what its segments turn by on average, each weighed as its compass is: one that was silent, the root
+    too, turns by itself when it is found again.
     """
-    # the building's field is off for all alike too
-    field = variance + 1.0 / now.information
+    weights, turned, corrected = 0.0, 0.0, 0.0
+    for s in range(root, len(links)):
+        if segments[s].started == STARTED and root_of(links, s) == root:
+            now = works[s]
+            weights += now.knows
+            turned += now.knows * _within_half_a_turn(segments[s].compass.error - now.error_before)
+            corrected += now.knows * now.compass_turn
+    if weights == 0.0:
+        return
     # a correction of the filter turns what is published by the filter's share alone
-    wrong = variance / tuning.compass_clean**2
-    compass.error += compass.share / (1.0 + wrong) * now.information_turn / now.information
-    compass.share = now.apart / (now.apart + field)
-    compass.error_variance = compass.share * field
-    wanted = now.expected + compass.share * (now.information_angle / now.information - now.expected)
+    wrong, compass = variance / tuning.compass_clean**2, segments[root].compass
+    wanted = (turned - compass.share / (1.0 + wrong) * corrected) / weights
+    compass.share = _compass_share(works[root], variance)
+    more = _limited_turn(compass, wanted, wrong, unseen, tuning, dt) - wanted
+    for s in range(root, len(links)):
+        if segments[s].started == STARTED and root_of(links, s) == root:
+            segments[s].compass.error += more
+
+
+@compiled
+def _limited_turn(
+    compass: Compass, wanted: float, wrong: float, unseen: float, tuning: Tuning, dt: float
+) -> float:
+    """Return what of the turn that is wanted (rad) a body makes at once, equation (34).
+
+    It is all of it while headings of the body are being found, and what it may have turned unseen; else only
+    as fast as the gyroscope may drift, and hardly at all where the field is wrong. compass: of the root.
+    """
     compass.settled_s += dt
     kept = compass.unseen_square * math.exp(-dt / tuning.heading_memory_s) + unseen
     compass.unseen_square = min(kept, tuning.unknown_heading**2)
-    if compass.settled_s > tuning.compass_settles_s:
-        off = wanted - compass.error
-        drift = (math.sqrt(compass.rate_variance) + abs(off) / tuning.compass_finds_s) * dt
-        unseen_turn = math.sqrt(compass.unseen_square)
-        largest = (drift + unseen_turn) / (1.0 + wrong)
-        turn = min(max(off, -largest), largest)
-        compass.unseen_square = max(unseen_turn - max(abs(turn) - drift, 0.0), 0.0) ** 2
-        wanted = compass.error + turn
-    compass.error = wanted
+    if compass.settled_s <= tuning.compass_settles_s:
+        return wanted
+    drift = (math.sqrt(compass.rate_variance) + abs(wanted) / tuning.compass_finds_s) * dt
+    unseen_turn = math.sqrt(compass.unseen_square)
+    largest = (drift + unseen_turn) / (1.0 + wrong)
+    turn = min(max(wanted, -largest), largest)
+    compass.unseen_square = max(unseen_turn - max(abs(turn) - drift, 0.0), 0.0) ** 2
+    return turn

@@ -395,7 +395,7 @@ def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, an
     root, first = root_of(links, s), links[s].parent
     beyond_gives, before_gives = _gives(body, state, tuning, work, s, root)
     beyond = 1.0 if first < 0 else beyond_gives / (beyond_gives + before_gives)
-    if first < 0 or beyond < tuning.lone_share:
+    if first < 0 or max(beyond, 1.0 - beyond) < tuning.lone_share:
         segments[root].compass.settled_s = 0.0
     for c in range(root, len(links)):
         now = works[c]

@@ -365,12 +365,13 @@ class SegmentWork(Record):
     density: float  # of the gyroscope's noise, (rad/s)²/Hz
     information: float  # by compasses of the segment and those beyond, of its heading's error: weight, 1/rad²
     information_angle: float  # and weight times angle, 1/rad
-    information_turn: float  # and weight times what corrections have just turned the compass by, 1/rad
-    compass_turn: float  # rad, that turn
+    compass_turn: float  # what corrections have just turned its compass by, rad
+    error_before: float  # by which its heading was taken to be off in the instant before, rad
     knows: float  # of its compass: how much it counts beside the surest, 0 to 1
     unwrapped: float  # rad, of the compass, so that neighbours differ by less than half a turn
     expected: float  # rad, error of the heading less that of the parent's, by motion alone
     apart: float  # and its variance, rad²
+    follows: float  # share of the parent's error that it is compared with, 1: all
     field_off: float  # heading by which the field is seen off, rad
     disturbance: float  # of the field, 1: none
     U: Vector  # specific force at the proximal joint as the segment sees it, world
