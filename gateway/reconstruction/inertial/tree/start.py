@@ -275,7 +275,7 @@ def agreed(along: float, across: float, length: float, tuning: Tuning) -> float:
     if length == 0.0:
         return 0.0
     agreement = concentration / length / tuning.heading_coherence
-    return float(concentration * min(agreement, 1.0) ** 4)
+    return float(concentration * min(agreement, 1.0) ** 12)
 
 
 @compiled
