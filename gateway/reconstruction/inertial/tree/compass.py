@@ -254,18 +254,17 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
         if p >= 0:
             passed = 1.0 / (1.0 + now.apart * now.information)
             against = now.information_angle - now.expected * now.information
-            works[p].information += now.follows**2 * passed * now.information
-            works[p].information_angle += now.follows * passed * against
+            works[p].information += passed * now.information
+            works[p].information_angle += passed * against
     # (32) from root to leaves
     for s in range(len(links)):
         now, p, compass = works[s], links[s].parent, segments[s].compass
         total = 1.0 + now.apart * now.information
         now.error_before = compass.error
         if p >= 0:
-            above, follows = segments[p].compass, now.follows
-            by_parent = follows * above.error + now.expected
-            compass.error = (by_parent + now.apart * now.information_angle) / total
-            compass.error_variance = now.apart / total + (follows / total) ** 2 * above.error_variance
+            above = segments[p].compass
+            compass.error = (above.error + now.expected + now.apart * now.information_angle) / total
+            compass.error_variance = now.apart / total + above.error_variance / (total * total)
         elif variance > 0.0 and now.information > 0.0:
             share = _compass_share(now, variance)
             compass.error = now.expected + share * (now.information_angle / now.information - now.expected)
@@ -315,16 +314,11 @@ def _compare(
     for s in range(len(links)):
         segment, now, p = segments[s], works[s], links[s].parent
         before, now.information, now.information_angle = 0.0, 0.0, 0.0
-        now.expected, now.follows = 0.0, 1.0
+        now.expected = 0.0
         if p >= 0:
-            above = segments[p].P[2, 2]
-            shared = segment.C[2, 2] if is_tree else above
-            if is_world_shown and segment.heading != UNOBSERVED:
-                # it may know where it heads although its parent does not
-                now.follows = shared / max(above, LEAST_APART)
-            square = now.follows * (now.follows * above - 2.0 * shared)
-            now.apart = max(segment.P[2, 2] + square, LEAST_APART)
-            before = now.follows * works[p].unwrapped
+            before = works[p].unwrapped
+            shared = segment.C[2, 2] if is_tree else segments[p].P[2, 2]
+            now.apart = max(segment.P[2, 2] + segments[p].P[2, 2] - 2.0 * shared, LEAST_APART)
         else:
             now.apart = give_of(segment, tuning)
             if has_compass and not is_world_shown:
@@ -438,7 +432,7 @@ def _turn_body(
     """Limit by how much the body of ``root`` turns by its compasses in an instant, equation (34).
 
     It is what its segments turn by on average, each weighed as its compass is: one that was silent, the root
-    too, turns by itself when it is found again.
+    too, turns by itself when it is found again. Where the world is shown the filter knows how the root heads.
     """
     weights, turned, corrected = 0.0, 0.0, 0.0
     for s in range(root, len(links)):
@@ -449,9 +443,13 @@ def _turn_body(
             corrected += now.knows * now.compass_turn
     if weights == 0.0:
         return
+    compass = segments[root].compass
+    turned, corrected = turned / weights, corrected / weights
+    if shows_world(links, segments):
+        turned = compass.error - works[root].error_before
     # a correction of the filter turns what is published by the filter's share alone
-    wrong, compass = variance / tuning.compass_clean**2, segments[root].compass
-    wanted = (turned - compass.share / (1.0 + wrong) * corrected) / weights
+    wrong = variance / tuning.compass_clean**2
+    wanted = turned - compass.share / (1.0 + wrong) * corrected
     compass.share = _compass_share(works[root], variance)
     more = _limited_turn(compass, wanted, wrong, unseen, tuning, dt) - wanted
     for s in range(root, len(links)):

@@ -371,7 +371,6 @@ class SegmentWork(Record):
     unwrapped: float  # rad, of the compass, so that neighbours differ by less than half a turn
     expected: float  # rad, error of the heading less that of the parent's, by motion alone
     apart: float  # and its variance, rad²
-    follows: float  # share of the parent's error that it is compared with, 1: all
     field_off: float  # heading by which the field is seen off, rad
     disturbance: float  # of the field, 1: none
     U: Vector  # specific force at the proximal joint as the segment sees it, world
