@@ -110,7 +110,7 @@ def test_help_has_an_example_for_every_command():
     [
         ({"asembly": {"rate_hz": 100}}, r"unknown setting 'asembly' \(did you mean 'assembly'\?\)"),
         ({"assembly": {"rate": 100}}, r"unknown setting 'assembly\.rate' \(did you mean 'rate_hz'\?\)"),
-        ({"assembly": {"rate_hz": 0}}, r"'assembly\.rate_hz' is 0: more than 0"),
+        ({"assembly": {"rate_hz": 0}}, r"'assembly\.rate_hz' is 0: at least 0.1 is wanted"),
         ({"rig": "suit_71"}, r"'suit_71'.*did you mean 'suit_17'"),
         (
             {"reconstructor": "gyro_free_delayed"},

@@ -173,7 +173,7 @@ def test_derivatives_of_an_unnormalised_curve_are_those_of_its_rotation():
     [
         (["none.mcap", "--mass", "70"], "none.mcap cannot be read"),
         (["none.mcap"], "none.mcap cannot be read"),
-        (["walk.mcap"], "walk.mcap does not tell what the person weighs: tell it with --mass"),
+        (["walk.mcap"], "walk.mcap is no recording of mocap-gateway"),
         (["trial.c3d"], "name the person with --subject"),
         (["walk.mcap", "--subject", "me.yaml"], "--subject goes with trials of markers"),
     ],

@@ -141,7 +141,7 @@ async def test_a_gateway_that_dies_before_it_is_confirmed_starts_with_what_it_ha
         ({"recording.folder": "/tmp"}, "never recording.folder"),
         ({"recording": {"folder": "/tmp"}}, "not for others to change"),
         ({"assembly": {"rate_hz": 5}}, "name single settings"),
-        ({"assembly.rate_hz": -1}, "more than 0"),
+        ({"assembly.rate_hz": -1}, "at least 0.1"),
         ({"assembly.rat_hz": 50}, "unknown setting 'assembly.rat_hz'"),
         ({"recording.min_free_mb": 1e12}, "MB free, less than"),
     ],
