@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import ctypes
 import gc
 import signal
 import socket
@@ -36,6 +35,7 @@ from gateway.emulation.simulation import suit_17
 from gateway.frames import SkeletonFrame, Status, StatusArray
 from gateway.service.service import Service
 from gateway.settings import GatewaySettings
+from gateway.support.memory import trim_heap
 
 METHOD = "independent"
 """Reconstructor: what it costs is not at stake here."""
@@ -272,9 +272,7 @@ def rss_mb() -> float:
     every half minute: else the figure says how long ago that was.
     """
     gc.collect()
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
+    trim_heap()
     return float(psutil.Process().memory_info().rss) / 2**20
 
 

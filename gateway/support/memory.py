@@ -44,6 +44,15 @@ def bound_memory() -> None:
     gc.freeze()
 
 
+def trim_heap() -> bool:
+    """Return what is free within the heap to the system; False where the C library cannot be asked."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is None:
+        return False
+    trim(0)
+    return True
+
+
 async def give_back() -> None:
     """Return what is free within the heap to the system, every so often, for ever.
 
@@ -52,10 +61,10 @@ async def give_back() -> None:
     keeps all below it: megabytes in an hour, though nothing more is in use. Returns where the C library
     cannot be asked.
     """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    while trim is not None:
+    can_trim = True
+    while can_trim:
         await asyncio.sleep(GIVE_BACK_S)
-        await asyncio.to_thread(trim, 0)
+        can_trim = await asyncio.to_thread(trim_heap)
 
 
 def _started_pool() -> ThreadPoolExecutor:
