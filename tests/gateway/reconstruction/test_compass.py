@@ -142,19 +142,8 @@ def test_one_that_is_stronger_or_flatter_is_believed_no_more_for_turning(wrong):
     assert np.degrees(offset) > 5.0
 
 
-@given(
-    parents=st.lists(st.integers(0, 100), min_size=1, max_size=7),
-    seed=st.integers(0, 2**32 - 1),
-    has_field=st.booleans(),
-    is_world_shown=st.booleans(),
-)
-def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has_field, is_world_shown):
-    """(32) beside one dense system; the root free to move at once."""
-    rng = np.random.default_rng(seed)
-    parents = [-1, *(p % (s + 1) for s, p in enumerate(parents))]
-    n = len(parents)
-    body, state, work = replace_parents(parents), initial_state(n, 0), work_space(n)
-    body.segments[0].heading_observable = int(is_world_shown)
+def draw_headings(rng, state, has_field):
+    """Fill in started segments of any compasses, some of whose headings motion has not shown yet."""
     for s, segment in enumerate(state.segments):
         segment.started, segment.heading = kernels.STARTED, Heading.OBSERVED.value
         segment.P[2, 2] = rng.uniform(0.1, 0.2)
@@ -170,6 +159,22 @@ def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has
             segment.heading, kappa = Heading.UNOBSERVED.value, rng.choice([0.1, 3.0, 10.0])
             sums.along, sums.across = kappa * np.cos(angle), kappa * np.sin(angle)
             sums.length = 1.2 * kappa
+
+
+@given(
+    parents=st.lists(st.integers(0, 100), min_size=1, max_size=7),
+    seed=st.integers(0, 2**32 - 1),
+    has_field=st.booleans(),
+    is_world_shown=st.booleans(),
+)
+def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has_field, is_world_shown):
+    """(32) beside one dense system; the root free to move at once."""
+    rng = np.random.default_rng(seed)
+    parents = [-1, *(p % (s + 1) for s, p in enumerate(parents))]
+    n = len(parents)
+    body, state, work = replace_parents(parents), initial_state(n, 0), work_space(n)
+    body.segments[0].heading_observable = int(is_world_shown)
+    draw_headings(rng, state, has_field)
     before = np.array([segment.compass.error for segment in state.segments])
     kernels.share_headings(body, state, TUNING, work, DT)
 
@@ -200,8 +205,8 @@ def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has
         angle = np.zeros(n)
     # the mean of all as the chain hangs together; then a root between that and the filter
     A, b = np.diag(weight), weight * angle
+    row = np.array([1.0, -1.0])
     for s, p in enumerate(parents[1:], start=1):
-        row = np.array([1.0, -1.0])
         A[np.ix_([s, p], [s, p])] += np.outer(row, row) / apart[s]
         b[[s, p]] += row * expected[s] / apart[s]
     if has_field:
