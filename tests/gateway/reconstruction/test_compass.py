@@ -221,9 +221,10 @@ def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has
         np.testing.assert_allclose([c.error for c in compasses[1:]], rest, atol=1e-9)
 
 
-def a_settled_body(n):
+def a_settled_body(n, is_world_shown=False):
     """A chain whose headings are known against each other, published where they are for long; work done."""
     body, state, work = replace_parents([-1, *range(n - 1)]), initial_state(n, 0), work_space(n)
+    body.segments[0].heading_observable = int(is_world_shown)
     for s, segment in enumerate(state.segments):
         segment.started, segment.heading = kernels.STARTED, Heading.OBSERVED.value
         segment.P[2, 2], segment.C[2, 2] = 0.0101, 0.01
@@ -253,6 +254,20 @@ def test_a_root_that_is_lost_and_found_does_not_turn_the_body():
     kernels.share_headings(body, state, TUNING, work, DT)
     work.segments[0].compass_turn = 0.0
     np.testing.assert_allclose(published_errors(state)[1:].mean(), before[1:].mean(), atol=0.02)
+
+
+def test_a_body_whose_heading_a_device_shows_heads_as_it_did_while_its_root_is_lost():
+    """Nothing held the others but compasses that were wrong: a ring went 50° aside."""
+    body, state, work = a_settled_body(4, is_world_shown=True)
+    before = published_errors(state)
+    root, child = state.segments[0], state.segments[1]
+    root.heading, root.P[2, 2], child.C[2, 2] = Heading.UNOBSERVED.value, TUNING.unknown_heading**2, 0.0
+    root.compass.variance = 1.0
+    for _ in range(100):
+        root.compass.angle += 0.02
+        kernels.share_headings(body, state, TUNING, work, DT)
+    np.testing.assert_allclose(published_errors(state)[1:], before[1:], atol=0.02)
+    assert state.segments[1].compass.error_variance < 0.02
 
 
 def test_a_whole_turn_of_one_compass_is_none():

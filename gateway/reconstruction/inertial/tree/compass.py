@@ -42,8 +42,6 @@ NOTHING, RATE = Validity.NOTHING.value, Validity.RATE.value
 STARTED = Started.YES.value
 LEAST_APART = 1e-9
 """rad²."""
-CUT_OFF = 1e6
-"""rad², of a heading that has nothing to do with the parent's."""
 
 
 @compiled
@@ -234,7 +232,8 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
     against each other, and what motion has shown so far of unobserved ones.
     """
     links, segments, works = body.segments, state.segments, work.segments
-    _compare(links, segments, works, body.world.is_tree == 1, tuning)
+    is_world_shown = shows_world(links, segments)
+    _compare(links, segments, works, body.world.is_tree == 1, is_world_shown, tuning)
     weigh_compasses(segments, works, tuning)
     variance = _compass_variance(links, segments, works, tuning)
     unseen = _turned_unseen(segments, works, tuning, dt)
@@ -247,11 +246,10 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
             weight = now.knows / (variance + off * off)
             now.information += weight
             now.information_angle += weight * now.unwrapped
-        is_first = segments[s].heading == UNOBSERVED or now.apart == CUT_OFF
         # (32) without any compass: what hangs together turns by its share
-        if variance == 0.0 and p >= 0 and is_first:
+        if variance == 0.0 and not now.is_first and segments[s].heading == UNOBSERVED:
             now.information += 1.0 / give_of(segments[s], tuning)
-        if p >= 0:
+        if not now.is_first:
             passed = 1.0 / (1.0 + now.apart * now.information)
             against = now.information_angle - now.expected * now.information
             works[p].information += passed * now.information
@@ -261,7 +259,7 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
         now, p, compass = works[s], links[s].parent, segments[s].compass
         total = 1.0 + now.apart * now.information
         now.error_before = compass.error
-        if p >= 0:
+        if not now.is_first:
             above = segments[p].compass
             compass.error = (above.error + now.expected + now.apart * now.information_angle) / total
             compass.error_variance = now.apart / total + above.error_variance / (total * total)
@@ -275,7 +273,7 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
     if variance > 0.0:
         for root in range(len(links)):
             if links[root].parent < 0:
-                _turn_body(links, segments, works, root, variance, unseen, tuning, dt)
+                _turn_body(links, segments, works, root, is_world_shown, variance, unseen, tuning, dt)
 
 
 @compiled
@@ -298,28 +296,31 @@ def _compare(
     segments: Records[Segment],
     works: Records[SegmentWork],
     is_tree: bool,
+    is_world_shown: bool,
     tuning: Tuning,
 ) -> None:
     """Set ``expected``, ``apart`` and ``unwrapped`` of each segment for (32).
 
     The sums of its compasses are reset. ``expected`` and ``apart`` are mean (rad) and variance (rad²) of the
-    heading's error less that of its parent, of a root in the world, without compasses. ``unwrapped`` is the
-    compass's angle within half a turn of what the parent's lets expect.
+    heading's error less that of its parent, of a first one in the world, without compasses. ``unwrapped`` is
+    the compass's angle within half a turn of what the parent's lets expect.
     """
     started, has_compass, unknown = 0, False, tuning.unknown_heading**2
     for s in range(len(links)):
         started += segments[s].started == STARTED
         has_compass = has_compass or segments[s].compass.seconds > 0.0
-    is_world_shown = shows_world(links, segments)
     for s in range(len(links)):
         segment, now, p = segments[s], works[s], links[s].parent
         before, now.information, now.information_angle = 0.0, 0.0, 0.0
-        now.expected = 0.0
+        now.expected, now.is_first = 0.0, 1 if p < 0 else 0
         if p >= 0:
             before = works[p].unwrapped
             shared = segment.C[2, 2] if is_tree else segments[p].P[2, 2]
             now.apart = max(segment.P[2, 2] + segments[p].P[2, 2] - 2.0 * shared, LEAST_APART)
-        else:
+            # it has kept its own while the parent's was lost, and does not turn with what finds that anew
+            is_kept = segment.heading != UNOBSERVED and segments[p].heading == UNOBSERVED
+            now.is_first = 1 if is_kept and now.apart > tuning.lost_heading**2 else 0
+        if now.is_first:
             now.apart = give_of(segment, tuning)
             if has_compass and not is_world_shown:
                 now.apart = 1e3 * unknown
@@ -329,9 +330,6 @@ def _compare(
                 now.apart = 1.0 / max(known, 1e-3 / unknown)
         if segment.heading == UNOBSERVED:
             _expect_unobserved(segment, now, p >= 0, tuning)
-        elif p >= 0 and segments[p].heading == UNOBSERVED and now.apart > tuning.lost_heading**2:
-            # it has kept its own while the parent's was lost, and does not turn with what finds that anew
-            now.apart = CUT_OFF
         if has_compass:
             before += now.expected
             now.unwrapped = before + _within_half_a_turn(segment.compass.angle - before)
@@ -424,6 +422,7 @@ def _turn_body(
     segments: Records[Segment],
     works: Records[SegmentWork],
     root: int,
+    is_world_shown: bool,
     variance: float,
     unseen: float,
     tuning: Tuning,
@@ -432,21 +431,23 @@ def _turn_body(
     """Limit by how much the body of ``root`` turns by its compasses in an instant, equation (34).
 
     It is what its segments turn by on average, each weighed as its compass is: one that was silent, the root
-    too, turns by itself when it is found again. Where the world is shown the filter knows how the root heads.
+    too, turns by itself when it is found again. Where the world is shown it is what the surest turns by.
     """
-    weights, turned, corrected = 0.0, 0.0, 0.0
+    weights, turned, corrected, surest, least = 0.0, 0.0, 0.0, root, np.inf
     for s in range(root, len(links)):
         if segments[s].started == STARTED and root_of(links, s) == root:
             now = works[s]
             weights += now.knows
             turned += now.knows * _within_half_a_turn(segments[s].compass.error - now.error_before)
             corrected += now.knows * now.compass_turn
+            if segments[s].P[2, 2] < least:
+                surest, least = s, segments[s].P[2, 2]
     if weights == 0.0:
         return
     compass = segments[root].compass
     turned, corrected = turned / weights, corrected / weights
-    if shows_world(links, segments):
-        turned = compass.error - works[root].error_before
+    if is_world_shown:
+        turned = segments[surest].compass.error - works[surest].error_before
     # a correction of the filter turns what is published by the filter's share alone
     wrong = variance / tuning.compass_clean**2
     wanted = turned - compass.share / (1.0 + wrong) * corrected

@@ -371,6 +371,7 @@ class SegmentWork(Record):
     unwrapped: float  # rad, of the compass, so that neighbours differ by less than half a turn
     expected: float  # rad, error of the heading less that of the parent's, by motion alone
     apart: float  # and its variance, rad²
+    is_first: int  # its heading has nothing to do with a parent's: it is a root, or that one is lost
     field_off: float  # heading by which the field is seen off, rad
     disturbance: float  # of the field, 1: none
     U: Vector  # specific force at the proximal joint as the segment sees it, world
