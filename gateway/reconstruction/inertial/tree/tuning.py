@@ -26,13 +26,13 @@ class Tuning(Record):
         0.01, "m", "by how much a lever arm changes while the body moves, times ‖[ω̇, ω]‖", "soft tissue"
     )
     lever_arm_offset: float = constant(
-        0.02,
+        0.03,
         "m",
         "how far a lever arm was measured wrong; what of it shows in the motion is found",
         "a tape measure",
     )
     force_bias: float = constant(
-        0.05, "m/s²", "constant error of an accelerometer after its calibration", "data sheets"
+        0.07, "m/s²", "constant error of an accelerometer after its calibration", "data sheets"
     )
     row_memory_s: float = constant(
         0.1,
@@ -94,7 +94,7 @@ class Tuning(Record):
     bias: float = constant(
         0.01, "rad/s", "at the start", "half a degree per second, as after a factory calibration"
     )
-    bias_walk: float = constant(2e-4, "rad/s/√s", "of the bias", "warming up, data sheets")
+    bias_walk: float = constant(1e-4, "rad/s/√s", "of the bias", "warming up, data sheets")
     largest_rate: float = constant(
         34.8, "rad/s", "beyond it a gyroscope is saturated", "2000 °/s less rounding"
     )
