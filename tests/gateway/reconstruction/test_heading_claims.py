@@ -127,7 +127,8 @@ def test_tilts_are_told_as_sure_as_the_joints_around_them_agree(frames, uses_fie
         assert poses[-1].sigma[s] == pytest.approx(np.sqrt(np.trace(tilt) + of_heading))
         if parents[s] >= 0:  # two accelerometers are off, and what both segments share does not count
             between = segments["P"][s] + segments["P"][parents[s]] - segments["C"][s] - segments["C"][s].T
-            expected = share * np.trace(between[:2, :2]) + 4.0 * lasting + between[2, 2]
+            assert told[name]["heading"] == "observed"
+            expected = share * np.trace(between[:3, :3]) + 4.0 * lasting
             assert told[name]["sigma_relative"] == pytest.approx(np.sqrt(expected))
 
 

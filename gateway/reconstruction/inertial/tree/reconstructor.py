@@ -161,10 +161,12 @@ class ChainReconstructor:
             if p >= 0:
                 C = segment.C[:3, :3]
                 between = segment.P[:3, :3] + segments[p].P[:3, :3] - C - C.T
+                is_shown = is_shown and bool(between[2, 2] < SHOWN_HEADING**2)
+                # (68a) what motion shows of a heading is shown by the joint
+                heading = float(between[2, 2]) * (min(segment.tilt_share, 1.0) if is_shown else 1.0)
                 tilt = segment.tilt_share * float(np.trace(between[:2, :2])) + lasting
                 missed = 3.0 * (segment.gap.missed + segments[p].gap.missed)
-                relative = math.sqrt(max(tilt + float(between[2, 2]) + missed, 0.0))
-                is_shown = is_shown and bool(between[2, 2] < SHOWN_HEADING**2)
+                relative = math.sqrt(max(tilt + heading + missed, 0.0))
             else:
                 is_shown = is_shown and links[s].heading_observable == 1
             compass = segment.compass
