@@ -204,6 +204,8 @@ def message_of(problem: Any) -> str:
     limits = {name: _plain_number(limit) for name, limit in problem.get("ctx", {}).items()}
     if "pattern" in limits:
         return IN_WORDS.get(str(limits["pattern"])) or f"a text of the form {limits['pattern']} is wanted"
+    if str(problem["input"]).lower() == "nan":
+        return "that is not a number"
     kind = problem["type"].removesuffix("_type").removesuffix("_parsing")
     wanted = _WANTED.get(kind)
     return str(problem["msg"]).removeprefix("Value error, ") if wanted is None else wanted.format(**limits)
