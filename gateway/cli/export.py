@@ -86,17 +86,20 @@ def export(
         recording = open_recording(file)
         arrays = smoothed_arrays(recording, progress) if smooth else recording.skeleton_arrays(progress)
 
-    takes: dict[Axes, Take] = {}
+    takes: dict[tuple[Axes, bool], Take] = {}
     written, notes = [], []
     with progress_bar("writing", is_shown=not as_json) as progress:
         for done, (name, path) in enumerate(files.items()):
             progress(done, len(files))
             wanted, per_m = _form(name, axes, unit)
-            if wanted not in takes:
+            as_recorded = FORMATS[name].as_recorded
+            if (wanted, as_recorded) not in takes:
                 # Resampling takes longer than writing: formats with the same axes share one take.
-                takes[wanted] = replace(take_of(arrays, file.stem, wanted, recording), mass_kg=mass)
-            notes.append(FORMATS[name].write(takes[wanted], path, per_m))
-            written.append(_summary_of(name, path, takes[wanted], per_m))
+                take = take_of(arrays, file.stem, wanted, recording, as_recorded=as_recorded)
+                takes[wanted, as_recorded] = replace(take, mass_kg=mass)
+            take = takes[wanted, as_recorded]
+            notes.append(FORMATS[name].write(take, path, per_m))
+            written.append(_summary_of(name, path, take, per_m))
 
     if mass is None and any(name == "osim" for name in to):
         notes.append("masses of the .osim are those of 75 kg: tell the person's with --mass")
@@ -144,15 +147,16 @@ def _summary_of(name: str, path: Path, take: Take, units_per_m: float) -> dict[s
     filled = {
         segment: int(count)
         for segment, count in zip(take.skeleton.segment_names, take.filled.sum(axis=0), strict=True)
-        if count
+        if count and not FORMATS[name].as_recorded
     }
+    recorded_ns = take.recorded.time_ns
     return {
         "format": name,
         "file": str(path),
         "bytes": path.stat().st_size,
         "frames": len(take.q_wb),
         "rate_hz": round(take.rate_hz, 6),
-        "seconds": round(float(take.time_s[-1]), 3),
+        "seconds": round(float(recorded_ns[-1] - recorded_ns[0]) * 1e-9, 3),
         "segments": take.skeleton.n_segments,
         "world_axes": take.axes.value,
         "units_per_m": units_per_m,
@@ -194,6 +198,10 @@ def report(
     require_package("matplotlib")
     target = output or file.with_suffix(".html")
     refuse_existing(target, force, source=file)
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise GatewayError(
+            f"{target}: a report is a page: name it {target.stem}.html; a browser prints that to a PDF"
+        )
     recording = open_recording(file)
 
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
