@@ -117,14 +117,6 @@ def _form(name: str, axes: Axes | None, unit: Unit | None) -> tuple[Axes, float]
     return axes or kind.axes, kind.units_per_m if unit is None else units_per_m(unit)
 
 
-def _ending(suffix: str) -> str:
-    return Path(f"x{suffix}").suffix
-
-
-_ENDINGS = {_ending(kind.suffix) for kind in FORMATS.values()}
-"""Last parts of all formats' suffixes."""
-
-
 def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: bool) -> Path:
     """Return where a format goes. Raises ``GatewayError`` if that would overwrite something."""
     suffix = FORMATS[name].suffix
@@ -137,8 +129,7 @@ def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: 
     else:
         path = output
     refuse_existing(path, force, source=file)
-    ending = path.suffix.lower()
-    if ending in _ENDINGS - {_ending(suffix)}:
+    if path.suffix.lower() != Path(f"x{suffix}").suffix:
         raise GatewayError(f"{path}: that is the ending of another format; of {name} it is {suffix}")
     return path
 
