@@ -131,6 +131,13 @@ class RecordingWriter:
         )
 
 
+def refuse_other_name(path: Path) -> None:
+    """Raise ``RecordingError`` for a name by which nothing would take a file for a recording."""
+    if not fmt.is_recording(path):
+        stem = path.name.partition(".")[0]
+        raise RecordingError(f"{path}: what is written is a recording: name it {stem}{fmt.SUFFIX}")
+
+
 class DerivedRecordingWriter(RecordingWriter):
     """A recording made of something that is kept: it appears under its name once it is whole.
 
@@ -147,10 +154,15 @@ class DerivedRecordingWriter(RecordingWriter):
         *,
         replaces: bool = False,
     ) -> None:
-        """Begin a file as ``RecordingWriter`` does; ``replaces`` lets it replace an existing one."""
+        """Begin a file as ``RecordingWriter`` does; ``replaces`` lets it replace an existing one.
+
+        A new one is refused as by ``refuse_other_name``.
+        """
         self._target = Path(path)
-        if not replaces and self._target.exists():
-            raise RecordingError(f"{path} exists already: choose another name")
+        if not replaces:
+            refuse_other_name(self._target)
+            if self._target.exists():
+                raise RecordingError(f"{path} exists already: choose another name")
         # Hidden beside its target, so that nobody takes half a file for a recording.
         unfinished = self._target.with_name(f".{self._target.name}.unfinished")
         unfinished.unlink(missing_ok=True)

@@ -260,8 +260,12 @@ class RecordingSettings(Strict):
         le=3600,
         description="data this old is on the disk, for power cuts; 0: only at the end",
     )
-    rotate_mb: float = Field(default=2000, ge=0, description="a new file beyond this size; 0: never")
-    rotate_minutes: float = Field(default=60, ge=0, description="a new file after this time; 0: never")
+    rotate_mb: float = Field(
+        default=2000, ge=0, description="a new file beyond this size, at least 1; 0: never"
+    )
+    rotate_minutes: float = Field(
+        default=60, ge=0, description="a new file after this time, at least 1; 0: never"
+    )
     warn_free_mb: float = Field(default=2000, ge=0, description="warn when the disk has less room")
     min_free_mb: float = Field(
         default=500, ge=0, description="stop recording when it has less; the live stream goes on"
@@ -493,10 +497,20 @@ def load_gateway_settings(path: Path, pushed: dict[str, Any] | None = None) -> G
         if allowed:
             settings = load_settings(path, GatewaySettings, allowed)
     _refuse_shared_ports(path, settings.links)
+    _refuse_tiny_parts(path, settings.recording)
     if settings.clock.table is not None and (path.parent / settings.clock.table).is_file():
         clock = settings.clock.model_copy(update={"table": str(path.parent / settings.clock.table)})
         settings = settings.model_copy(update={"clock": clock})
     return settings
+
+
+def _refuse_tiny_parts(path: Path, recording: RecordingSettings) -> None:
+    """Refuse a new file at every look; a recording's copy of a configuration may have it, and is read."""
+    for name in ("rotate_mb", "rotate_minutes"):
+        if 0 < (value := getattr(recording, name)) < 1:
+            raise SettingsError(
+                f"{path}: 'recording.{name}' is {value:g}: at least 1 is wanted, or 0 for never"
+            )
 
 
 _FOR_ONE_LINK = ("/", "slcan://", "rfc2217://", "udp://")

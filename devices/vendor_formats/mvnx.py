@@ -22,7 +22,7 @@ from devices.emulators.ideal_sensors import POSITION
 from devices.emulators.recordings import FusedTrack, LocalTrack, Recording
 from devices.vendor_formats.gaps import checked_rate, spread
 from devices.vendor_formats.labels import refuse_repeats
-from devices.vendor_formats.sheets import FormatError
+from devices.vendor_formats.sheets import FormatError, refuse_device
 from devices.vendor_formats.xsens_text import NORTH_WEST_UP_DEG, turned
 
 PATH_DEVICE = 60
@@ -91,6 +91,7 @@ def _recording(path: Path, found: _Found, note: str | None) -> Recording:
 
 def _elements(path: Path) -> Iterator[Element]:
     """Yield elements as they end, names without namespace."""
+    refuse_device(path)
     root: Element | None = None
     for event, element in iterparse(path, events=("start", "end"), forbid_dtd=True):
         element.tag = element.tag.rpartition("}")[2]

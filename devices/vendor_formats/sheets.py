@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import csv
+import stat
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -159,6 +160,7 @@ def _is_number(text: str) -> bool:
 def read_lines(path: Path) -> list[str]:
     """Return the lines of a text file. Raises ``FormatError`` when it cannot be read, is empty or no text."""
     try:
+        refuse_device(path)
         if path.stat().st_size > LARGEST_FILE:
             raise FormatError(f"{path} is larger than {LARGEST_FILE >> 20} MiB: split it")
         data = path.read_bytes()
@@ -174,6 +176,13 @@ def read_lines(path: Path) -> list[str]:
             f"{path} is no text file: byte {zero} is 0 (a binary file, or one never written out)"
         )
     return data.decode("utf-8-sig", errors="replace").splitlines()
+
+
+def refuse_device(path: Path) -> None:
+    """Raise ``FormatError`` for a pipe or a device, which may have no end. Raises ``OSError``."""
+    kind = path.stat().st_mode
+    if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
+        raise FormatError(f"{path} is a pipe or a device: save what comes of it as a file, and import that")
 
 
 def open_sheet(

@@ -160,7 +160,9 @@ def _correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     n_a, n_b = len(a), len(b)
     product, power_a, power_b = (np.zeros(n_a + n_b - 1) for _ in range(3))
-    overlap = correlate(np.ones(n_b), np.ones(n_a))
+    # In a pause of one of them nothing overlaps.
+    seen_a, seen_b = (np.isfinite(each).any(axis=1).astype(float) for each in (a, b))
+    overlap = correlate(seen_b, seen_a)
     for one, other in zip(a.T, b.T, strict=True):
         known_a, known_b = np.isfinite(one), np.isfinite(other)
         # A pair of signals counts at a lag only where both are known: power is summed over the same samples.
@@ -171,7 +173,8 @@ def _correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
         product += correlate(y, x)
         power_a += correlate(known_b.astype(float), x * x)
         power_b += correlate(y * y, known_a.astype(float))
-    least = min(max(SHORTEST_OVERLAP_S * RATE_HZ, OVERLAP_SHARE * min(n_a, n_b)), n_a, n_b)
+    shorter = min(seen_a.sum(), seen_b.sum())
+    least = min(max(SHORTEST_OVERLAP_S * RATE_HZ, OVERLAP_SHARE * shorter), shorter)
     power = np.sqrt(np.maximum(power_a, 0.0) * np.maximum(power_b, 0.0))
     strongest = float(power.max())
     # Near the ends few samples overlap, and any two short pieces correlate well by chance.

@@ -44,7 +44,7 @@ def _write_forces(found: Analysis, names: list[str], path: Path) -> None:
         "inDegrees=yes",
         "endheader",
     ]
-    with path.open("w", encoding="ascii") as file:
+    with path.open("w", encoding="utf-8") as file:
         file.write("\n".join([*head, "\t".join(labels)]) + "\n")
         np.savetxt(file, table, fmt="%.8f", delimiter="\t")
 

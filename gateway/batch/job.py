@@ -131,7 +131,8 @@ def _export(recording: Recording, task: Task, folder: Path, name: str) -> list[s
     arrays, lacks = recording.skeleton_arrays(), []
     for kind in wanted:
         exported = FORMATS[kind]
-        take = take_of(arrays, name, Axes(task.axes) if task.axes else exported.axes, recording)
+        axes = Axes(task.axes) if task.axes else exported.axes
+        take = take_of(arrays, name, axes, recording, as_recorded=exported.as_recorded)
         unit = task.units_per_m or exported.units_per_m
         lacks.append(exported.write(take, folder / f"{name}{exported.suffix}", unit))
     return lacks

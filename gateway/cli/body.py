@@ -21,6 +21,7 @@ from gateway.body.joints import WORLD, Joint
 from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import import_urdf
 from gateway.cli.options import AsJson, ReplaceFiles, refuse_existing
+from gateway.cli.terminal import wide_console
 from gateway.errors import GatewayError
 from gateway.support.settings_files import (
     as_shown,
@@ -78,10 +79,7 @@ def show(
     if as_json:
         typer.echo(json.dumps(_as_json(skeleton, masses)))
         return
-    console = Console()
-    console.print(_tree(skeleton, masses))
-    if skeleton.joints:
-        console.print(_joint_table(skeleton))
+    _print_body(skeleton, masses)
 
 
 @body_app.command(epilog="Example: mocap-gateway body check my_body.yaml")
@@ -158,8 +156,11 @@ def import_robot(
     for note in robot.notes:
         typer.echo(f"note: {note}", err=True)
     skeleton = load_body(str(output))
-    Console().print(_tree(skeleton, None), _joint_table(skeleton))
+    _print_body(skeleton, None)
 
+
+_WIDEST = 10_000
+"""Columns that no tree of segments needs."""
 
 _OPTIONS: dict[str | int, str] = {
     "height_m": "--height (m)",
@@ -191,6 +192,14 @@ def _write(path: Path, head: str, content: dict[str, Any], force: bool) -> None:
     with writing(path):
         path.write_text(text, encoding="utf-8")
     typer.echo(f"written to {path}")
+
+
+def _print_body(skeleton: Skeleton, masses: np.ndarray | None) -> None:
+    tree = _tree(skeleton, masses)
+    # A long chain is wider than any terminal, which breaks its lines; narrower ones would be cut off.
+    wide_console(Console(width=_WIDEST).measure(tree).maximum).print(tree)
+    if skeleton.joints:
+        Console().print(_joint_table(skeleton))
 
 
 def _tree(skeleton: Skeleton, masses: np.ndarray | None) -> Tree:

@@ -86,17 +86,20 @@ def export(
         recording = open_recording(file)
         arrays = smoothed_arrays(recording, progress) if smooth else recording.skeleton_arrays(progress)
 
-    takes: dict[Axes, Take] = {}
+    takes: dict[tuple[Axes, bool], Take] = {}
     written, notes = [], []
     with progress_bar("writing", is_shown=not as_json) as progress:
         for done, (name, path) in enumerate(files.items()):
             progress(done, len(files))
             wanted, per_m = _form(name, axes, unit)
-            if wanted not in takes:
+            as_recorded = FORMATS[name].as_recorded
+            if (wanted, as_recorded) not in takes:
                 # Resampling takes longer than writing: formats with the same axes share one take.
-                takes[wanted] = replace(take_of(arrays, file.stem, wanted, recording), mass_kg=mass)
-            notes.append(FORMATS[name].write(takes[wanted], path, per_m))
-            written.append(_summary_of(name, path, takes[wanted], per_m))
+                take = take_of(arrays, file.stem, wanted, recording, as_recorded=as_recorded)
+                takes[wanted, as_recorded] = replace(take, mass_kg=mass)
+            take = takes[wanted, as_recorded]
+            notes.append(FORMATS[name].write(take, path, per_m))
+            written.append(_summary_of(name, path, take, per_m))
 
     if mass is None and any(name == "osim" for name in to):
         notes.append("masses of the .osim are those of 75 kg: tell the person's with --mass")
@@ -114,14 +117,6 @@ def _form(name: str, axes: Axes | None, unit: Unit | None) -> tuple[Axes, float]
     return axes or kind.axes, kind.units_per_m if unit is None else units_per_m(unit)
 
 
-def _ending(suffix: str) -> str:
-    return Path(f"x{suffix}").suffix
-
-
-_ENDINGS = {_ending(kind.suffix) for kind in FORMATS.values()}
-"""Last parts of all formats' suffixes."""
-
-
 def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: bool) -> Path:
     """Return where a format goes. Raises ``GatewayError`` if that would overwrite something."""
     suffix = FORMATS[name].suffix
@@ -134,8 +129,7 @@ def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: 
     else:
         path = output
     refuse_existing(path, force, source=file)
-    ending = path.suffix.lower()
-    if ending in _ENDINGS - {_ending(suffix)}:
+    if path.suffix.lower() != Path(f"x{suffix}").suffix:
         raise GatewayError(f"{path}: that is the ending of another format; of {name} it is {suffix}")
     return path
 
@@ -144,15 +138,16 @@ def _summary_of(name: str, path: Path, take: Take, units_per_m: float) -> dict[s
     filled = {
         segment: int(count)
         for segment, count in zip(take.skeleton.segment_names, take.filled.sum(axis=0), strict=True)
-        if count
+        if count and not FORMATS[name].as_recorded
     }
+    recorded_ns = take.recorded.time_ns
     return {
         "format": name,
         "file": str(path),
         "bytes": path.stat().st_size,
         "frames": len(take.q_wb),
         "rate_hz": round(take.rate_hz, 6),
-        "seconds": round(float(take.time_s[-1]), 3),
+        "seconds": round(float(recorded_ns[-1] - recorded_ns[0]) * 1e-9, 3),
         "segments": take.skeleton.n_segments,
         "world_axes": take.axes.value,
         "units_per_m": units_per_m,
@@ -194,6 +189,10 @@ def report(
     require_package("matplotlib")
     target = output or file.with_suffix(".html")
     refuse_existing(target, force, source=file)
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise GatewayError(
+            f"{target}: a report is a page: name it {target.stem}.html; a browser prints that to a PDF"
+        )
     recording = open_recording(file)
 
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:

@@ -15,6 +15,7 @@ from rich.table import Table
 from devices.card_download import CardFile, download
 from devices.card_recording import convert_card_file
 from devices.link import gateway_time_ns
+from devices.recording_writer import refuse_other_name
 from gateway.cli.modules_suit import Operations, SuitChoice, run_with_suit, with_suit
 from gateway.cli.options import AsJson
 from gateway.cli.terminal import wide_console
@@ -85,6 +86,8 @@ def download_file(
 
     A download that was cut goes on where it stopped when it is started again. The checksum is verified.
     """
+    if not raw:  # said before a download of minutes
+        refuse_other_name(target)
     # Beside the target, so that an interrupted download finds what it has already.
     fetched = target if raw else target.with_name(target.name + ".card")
 

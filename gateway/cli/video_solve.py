@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from devices.cameras.keypoint_files import is_keypoints
+from devices.recording_writer import refuse_other_name
 from gateway.body.camera import Camera
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.calibration.cameras_file import axis_of, load_cameras
@@ -308,12 +309,15 @@ def _named(path: Path, n: int) -> list[Path]:
 
 
 def _target(files: Sequence[str], output: Path | None, to: Sequence[str]) -> Path:
-    """Return where the recording goes. Raises ``GatewayError`` when a format is unknown."""
+    """Return where the recording goes. Raises ``GatewayError`` when a format is unknown, and as
+    ``refuse_other_name``."""
     check_formats(to)
     first = Path(files[0].rpartition("=")[2])
     if not first.name:
         raise GatewayError(f"'{files[0]}' names no film: write FILE or CAMERA=FILE")
-    return output or first.with_suffix(".mcap")
+    target = output or first.with_suffix(".mcap")
+    refuse_other_name(target)
+    return target
 
 
 def _written(

@@ -11,7 +11,7 @@ import numpy as np
 
 from devices.deferred import Deferred
 from devices.marker_files import holds_markers
-from devices.vendor_formats.sheets import FormatError
+from devices.vendor_formats.sheets import FormatError, refuse_device
 from gateway.body.body_file import load_body
 from gateway.errors import GatewayError
 from gateway.imports.segment_names import BODY
@@ -151,6 +151,7 @@ def detected(paths: Sequence[Path], options: ReadOptions) -> str:
             return "ximu3"
         path = _files_in(paths)[0]
     try:
+        refuse_device(path)
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
     except OSError as error:

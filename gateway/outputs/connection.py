@@ -201,7 +201,7 @@ def explain(error: BaseException, settings: MqttSettings, port: int) -> str:
         return str(error)
     if isinstance(error, MqttConnectError):
         return _explain_refusal(error.rc, settings, where)
-    reason = _NUMBER.sub("", str(error)).replace("Unspecified error", "it hung up")
+    reason = reason_of(error)
     if "SSL" in reason:
         return f"no TLS connection to the broker at {where} ({reason}): check tls.ca_file and the host name"
     if "timed out" in reason:
@@ -210,6 +210,11 @@ def explain(error: BaseException, settings: MqttSettings, port: int) -> str:
     if settings.broker == "external":
         hint = "is mosquitto running? (broker: embedded needs none)"
     return f"no MQTT broker at {where} ({reason}): {hint}"
+
+
+def reason_of(error: BaseException) -> str:
+    """Return what an error says without its number, and in words where the library has none."""
+    return _NUMBER.sub("", str(error)).replace("Unspecified error", "it hung up")
 
 
 def _explain_refusal(code: int | ReasonCode | None, settings: MqttSettings, where: str) -> str:

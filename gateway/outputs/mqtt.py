@@ -46,6 +46,7 @@ from gateway.outputs.connection import (
     explain,
     first_to_end,
     nap,
+    reason_of,
     unique_identifier,
 )
 from gateway.outputs.direct_publishing import DirectPublisher
@@ -487,10 +488,12 @@ class MqttOutput:
         """One warning for a broker that is away, one more if it then refuses us."""
         if self.is_connected:
             where = self._where
-            reason = error.__cause__ or error  # aiomqtt's own says only that it was lost
+            reason = reason_of(error.__cause__ or error)  # aiomqtt's own says only that it was lost
             self._complain("away", f"lost the MQTT broker at {where} ({reason}): trying to get it back")
         else:
-            kind = "refusing" if isinstance(error, MqttConnectError) else "away"
+            # A broker may come back with another certificate, too.
+            refuses = isinstance(error, MqttConnectError) or "SSL" in reason_of(error)
+            kind = "refusing" if refuses else "away"
             self._complain(kind, explain(error, self._door, self._door.port))
 
     @property

@@ -205,6 +205,8 @@ def message_of(problem: Any) -> str:
     if "pattern" in limits:
         return IN_WORDS.get(str(limits["pattern"])) or f"a text of the form {limits['pattern']} is wanted"
     kind = problem["type"].removesuffix("_type").removesuffix("_parsing")
+    if kind in _OF_BOUNDS and str(problem["input"]).lower() == "nan":
+        return "that is not a number"
     wanted = _WANTED.get(kind)
     return str(problem["msg"]).removeprefix("Value error, ") if wanted is None else wanted.format(**limits)
 
@@ -214,6 +216,8 @@ def _plain_number(limit: object) -> object:
     return int(limit) if isinstance(limit, float) and limit.is_integer() else limit
 
 
+_OF_BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
+"""Bounds, each of which NaN breaks."""
 _LIST = "a list is wanted: [one, another], or lines that begin with '- '"
 _SECTION = "a section of 'key: value' lines is wanted"
 _WHOLE = "a whole number is wanted, without a unit"

@@ -37,6 +37,7 @@ class _Offer(NamedTuple):
     """What the list of plots was made of."""
 
     language: str
+    root: str
     joints: tuple[str, ...]
     segments: tuple[str, ...]
     has_markers: bool
@@ -51,6 +52,8 @@ class Panel:
         self._listeners: list[Callable[[str], None]] = []
         self._rows: list[tuple[ButtonRow, viser.GuiButtonGroupHandle]] = []
         self._choices: dict[str, viser.GuiInputHandle[bool]] = {}
+        self._root: str = "–"
+        """Segment whose trail is offered."""
 
         gui.add_html(STYLE)
         self._warnings = gui.add_html("")
@@ -107,9 +110,12 @@ class Panel:
         self._rows.append((row, group))
 
     def _add_choice(self, gui: viser.GuiApi, name: str, is_chosen: bool) -> viser.GuiInputHandle[bool]:
-        choice = gui.add_checkbox(self.translated(name), is_chosen)
+        choice = gui.add_checkbox(self._label(name), is_chosen)
         self._choices[name] = choice
         return choice
+
+    def _label(self, choice: str) -> str:
+        return self.translated(choice, name=segment_name(self.language, self._root))
 
     def translated(self, key: str, **values: object) -> str:
         """Return a text in the page's language."""
@@ -126,7 +132,7 @@ class Panel:
             group.label = self.translated(f"{row.name}_row")
             group.options = tuple(self.translated(f"{row.name}_{option}") for option in row.options)
         for name, choice in self._choices.items():
-            choice.label = self.translated(name)
+            choice.label = self._label(name)
         for name, tab in self._tabs.items():
             rename(self.tabs, tab, self.translated(name))
         self._legend.content = legend(language)
@@ -138,7 +144,7 @@ class Panel:
     def add_pose(self, pose: PoseMessage) -> None:
         """Add a pose to the plot: attitudes of segments, and angles of joints where poses have them."""
         joints = pose.joint_angles or {}
-        self._offer(_Offer(self.language, tuple(joints), tuple(pose.segments), self._has_markers))
+        self._offer(_Offer(self.language, pose.root, tuple(joints), tuple(pose.segments), self._has_markers))
         kind, name = self._series.get(self._plotted.value, ("", ""))
         plain = segment_name(self.language, name)
         if kind == "of_attitude":
@@ -161,6 +167,8 @@ class Panel:
         """Have the list of what can be plotted name all of it; the same series stays chosen."""
         if offer == self._offered:
             return
+        self._root = offer.root
+        self._choices["trail"].label = self._label("trail")
         chosen = self._series.get(self._plotted.value)
         of_each = (
             *(("of_angles", joint) for joint in offer.joints),

@@ -1,4 +1,4 @@
-"""Where the pelvis went in the last seconds, as points on the floor."""
+"""Where the root segment went in the last seconds, as points on the floor."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Trail:
         self._points: viser.PointCloudHandle | None = None
 
     def draw(self, is_wanted: bool, time_s: float, place: FloatArray) -> None:
-        """Take where the pelvis is, (3,) m, and show where it was. time_s: of this pose; one before the last
+        """Take where the root is, (3,) m, and show where it was. time_s: of this pose; one before the last
         begins anew."""
         if not is_wanted:
             self._forget()

@@ -57,3 +57,10 @@ def test_what_it_replaces_stays_until_it_is_whole(tmp_path):
         assert target.read_bytes() == b"earlier"
     assert RecordingFile(target).head.session["name"] == "walk"
     assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("name", ["walk.csv", "walk", "walk.ros2.mcap"])
+def test_a_name_that_no_recording_has_is_refused(name, tmp_path):
+    with pytest.raises(RecordingError, match=r"is a recording: name it walk\.mcap"):
+        begun(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []

@@ -16,6 +16,8 @@ from gateway.support.whole_files import remedy_of
         ("demo --seconds abc", "'--seconds': 'abc': a number is wanted"),
         ("demo --seconds 1", "'--seconds': '1': at least 5 is wanted"),
         ("demo --port 70000", "'--port': '70000': at most 65535 is wanted"),
+        ("emulate --rate nan", "'--rate': 'nan': that is not a number"),
+        ("watch --protocol nan", "'--protocol': 'nan' is not one of"),
         ("watch --count 1.5", "'--count': '1.5': a whole number is wanted"),
         ("watch --protocol 4", "'--protocol': '4' is not one of"),
         ("export x.mcap --to xyz", "'--to': 'xyz' is not one of 'bvh', 'c3d'"),

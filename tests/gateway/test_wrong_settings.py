@@ -385,6 +385,19 @@ def test_two_links_on_one_port_are_refused(first, second, tmp_path):
         load_gateway_settings(path)
 
 
+@pytest.mark.parametrize("name", ["rotate_mb", "rotate_minutes"])
+def test_files_of_a_recording_that_hold_next_to_nothing_are_refused(name, tmp_path):
+    """Each look at the size began another one."""
+    path = tmp_path / "gateway.yaml"
+    plain = "rig: suit_17\nlinks: [{name: a, url: /dev/ttyACM0}]\n"
+    for most in (0, 1):
+        path.write_text(f"{plain}recording: {{{name}: {most}}}\n")
+        load_gateway_settings(path)
+    path.write_text(f"{plain}recording: {{{name}: 0.0001}}\n")
+    with pytest.raises(GatewayError, match=f"'recording.{name}' is 0.0001: at least 1 is wanted, or 0"):
+        load_gateway_settings(path)
+
+
 @pytest.mark.parametrize("url", ["can://socketcan/can0", "/data/walk.mcap?link=a", "udp://:0"])
 def test_a_bus_a_recording_and_any_free_port_may_have_several_links(url, tmp_path):
     path = tmp_path / "gateway.yaml"

@@ -245,10 +245,11 @@ async def test_named_user_with_password_from_the_environment(
         await until(lambda: output.is_connected)
 
 
-async def test_tls(mosquitto: Mosquitto, pose_source: PoseSource, tmp_path: Path, until: Until) -> None:
+async def certify(mosquitto: Mosquitto, folder: Path) -> Path:
+    """Start the broker anew with a certificate of its own, and return that."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed: no certificate for the broker")
-    certificate, key = tmp_path / "certificate.pem", tmp_path / "key.pem"
+    certificate, key = folder / "certificate.pem", folder / "key.pem"
     command = (
         "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost "
         f"-addext subjectAltName=IP:127.0.0.1 -keyout {key} -out {certificate}"
@@ -256,6 +257,29 @@ async def test_tls(mosquitto: Mosquitto, pose_source: PoseSource, tmp_path: Path
     await asyncio.to_thread(subprocess.run, command.split(), check=True, capture_output=True)
     mosquitto.configure(f"certfile {certificate}\nkeyfile {key}")
     mosquitto.restart()
+    return certificate
+
+
+async def test_a_broker_that_comes_back_with_another_certificate_is_told(
+    mosquitto: Mosquitto,
+    pose_source: PoseSource,
+    tmp_path: Path,
+    until: Until,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The log said that it was lost, and nothing more for as long as it was refused."""
+    kept = tmp_path / "kept.pem"
+    kept.write_bytes((await certify(mosquitto, tmp_path)).read_bytes())
+    settings = MqttSettings(port=mosquitto.port, tls=TlsSettings(ca_file=kept))
+    async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
+        await until(lambda: output.is_connected)
+        await certify(mosquitto, tmp_path)
+        await until(lambda: "check tls.ca_file" in caplog.text)
+    assert "Unspecified error" not in caplog.text
+
+
+async def test_tls(mosquitto: Mosquitto, pose_source: PoseSource, tmp_path: Path, until: Until) -> None:
+    certificate = await certify(mosquitto, tmp_path)
     settings = MqttSettings(port=mosquitto.port, tls=TlsSettings(ca_file=certificate))
     async with (
         MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output,

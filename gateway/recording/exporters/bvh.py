@@ -29,7 +29,7 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     lines += ["MOTION", f"Frames: {len(take.q_wb)}", f"Frame Time: {1.0 / take.rate_hz:.9f}"]
     channels = [take.p_w[:, root] * units_per_m]
     channels += [_euler_deg(take, segment) for segment in order]
-    with path.open("w", encoding="ascii") as file:
+    with path.open("w", encoding="utf-8") as file:
         file.write("\n".join(lines) + "\n")
         np.savetxt(file, np.hstack(channels), fmt=f"%.{_DECIMALS}f")
 

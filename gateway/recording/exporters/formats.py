@@ -42,6 +42,8 @@ class Format:
     """What it needs that is not always installed; empty: nothing."""
     follows: str = ""
     """The convention that leaves no choice of axes and unit; empty: there is one."""
+    as_recorded: bool = False
+    """Its frames are those that were recorded, at their own instants: a pause costs nothing."""
 
     def check(self, axes: Axes, units_per_m: float) -> None:
         """Raise ``GatewayError`` without the package that it needs, and for axes or a unit that such files
@@ -102,6 +104,7 @@ FORMATS: dict[str, Format] = {
         1.0,
         _writer("ros2.write"),
         follows="REP 103",
+        as_recorded=True,
     ),
     "foxglove": Format(
         ".foxglove.mcap",
@@ -111,6 +114,7 @@ FORMATS: dict[str, Format] = {
         _writer("foxglove.write"),
         "foxglove",
         "REP 103",
+        as_recorded=True,
     ),
 }
 """By name on the command line."""

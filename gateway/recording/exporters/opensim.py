@@ -27,7 +27,7 @@ def write_sto(take: Take, path: Path, _units_per_m: float) -> None:
         "endheader",
         "\t".join(["time", *(f"{name}_imu" for name in take.skeleton.segment_names)]),
     ]
-    with path.open("w", encoding="ascii") as file:
+    with path.open("w", encoding="utf-8") as file:
         file.write("\n".join(head) + "\n")
         for time_s, pose in zip(take.time_s, take.q_wb, strict=True):
             # OpenSense separates the parts of a quaternion by commas, columns by tabulators.
@@ -56,7 +56,7 @@ def write_mot(take: Take, path: Path, units_per_m: float) -> None:
         "endheader",
         "\t".join(columns),
     ]
-    with path.open("w", encoding="ascii") as file:
+    with path.open("w", encoding="utf-8") as file:
         file.write("\n".join(head) + "\n")
         np.savetxt(file, table, fmt="%.8f", delimiter="\t")
 

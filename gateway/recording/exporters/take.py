@@ -23,7 +23,7 @@ _TURNS_DEG = {Axes.Z_UP: 0.0, Axes.Y_UP: -90.0}
 
 @dataclass(frozen=True)
 class Take:
-    """F frames of S segments at a regular rate. Nothing in it is NaN but what was never known."""
+    """F frames of S segments, at a regular rate or as recorded. Nothing is NaN but what was never known."""
 
     name: str
     skeleton: Skeleton
@@ -107,8 +107,15 @@ def rotation(q: FloatArray) -> Rotation:
     return Rotation.from_quat(q.reshape(-1, 4), scalar_first=True)
 
 
-def take_of(arrays: SkeletonArrays, name: str, axes: Axes, recording: Recording | None = None) -> Take:
-    """Make a take of a recorded result.
+def take_of(
+    arrays: SkeletonArrays,
+    name: str,
+    axes: Axes,
+    recording: Recording | None = None,
+    *,
+    as_recorded: bool = False,
+) -> Take:
+    """Make a take of a recorded result, at a regular rate unless its frames are wanted ``as_recorded``.
 
     Raises ``GatewayError`` with one frame, if the root is never known, or where next to nothing of the time
     was recorded.
@@ -119,6 +126,10 @@ def take_of(arrays: SkeletonArrays, name: str, axes: Axes, recording: Recording 
     later than those before are left out.
     """
     arrays, index = _in_order(arrays, name)
+    if as_recorded:
+        index = np.arange(len(index))
+    else:
+        refuse_pauses(arrays.time_ns, name)
     rate_hz = arrays.rate_hz
     grid = np.arange(index[-1] + 1)
     q_wb, filled = _filled_orientations(_known_orientations(arrays, name), index, grid)
@@ -153,7 +164,6 @@ def _in_order(arrays: SkeletonArrays, name: str) -> tuple[SkeletonArrays, IntArr
     n = len(index)
     if n < 2:
         raise GatewayError(f"{name} has {n} frame(s): a motion needs two at least")
-    refuse_pauses(arrays.time_ns, name)
     return arrays, index
 
 

@@ -37,7 +37,7 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
         "",
     ]
     table = np.column_stack([np.arange(first, first + frames), take.time_s, points.reshape(frames, -1)])
-    with path.open("w", encoding="ascii") as file:
+    with path.open("w", encoding="utf-8") as file:
         file.write("\n".join(head) + "\n")
         for frame, *numbers in table.tolist():
             file.write("\t".join([f"{frame:.0f}", *map(_cell, numbers)]) + "\n")

@@ -3,6 +3,7 @@ magnetometer."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,10 @@ from devices.emulators.recordings import play
 from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
 from devices.vendor_formats.gaps import index_of_times, rate_of
 from devices.vendor_formats.labels import labels_of
+from devices.vendor_formats.mvnx import read_mvnx
 from devices.vendor_formats.sheets import FormatError
 from firmware_protocol import FrameDecoder, InertialSampleFine, PacketDecoder
+from gateway.imports.formats import ReadOptions, detected
 
 MODULE = {
     "name": "pelvis",
@@ -191,3 +194,20 @@ def test_a_column_that_is_there_twice_is_not_chosen_from(tmp_path):
 def test_a_rate_that_no_module_samples_at_is_refused_in_a_map(rate_hz):
     with pytest.raises(ValidationError, match="rate_hz"):
         ColumnMap.model_validate({"rate_hz": rate_hz, "modules": [MODULE]})
+
+
+@pytest.mark.parametrize("kind", ["device", "pipe"])
+def test_what_may_have_no_end_is_refused(kind, tmp_path):
+    """A map that named /dev/zero filled the memory; a pipe that nobody fills was waited for."""
+    endless = Path("/dev/zero")
+    if kind == "pipe":
+        endless = tmp_path / "pipe"
+        os.mkfifo(endless)
+    module = MODULE | {"file": str(endless)}
+    columns = ColumnMap.model_validate({"time": {"column": "t"}, "modules": [module]})
+    with pytest.raises(FormatError, match="is a pipe or a device"):
+        read_mapped_csv(None, columns, tmp_path)
+    with pytest.raises(FormatError, match="is a pipe or a device"):
+        read_mvnx(endless)
+    with pytest.raises(FormatError, match="is a pipe or a device"):
+        detected([endless], ReadOptions())

@@ -146,3 +146,16 @@ def test_refuses_what_cannot_be_compared():
         agreement(first, strange)
     with pytest.raises(GatewayError, match="no segment 'x'"):
         agreement(first, second, {"pelvis": "x"})
+
+
+def test_a_few_frames_beside_a_pause_are_no_agreement():
+    """Two other motions, paused alike, correlated by 0.9 where five frames of one met the other."""
+    first, second = first_and_second()
+    stranger, _ = motion(second.time_s, seed=7)
+    paused = [
+        replace(each, time_s=each.time_s + np.where(each.time_s > 3.0 + lag_s, 120.0, 0.0))
+        for each, lag_s in ((first, 0.0), (second, 1.2345))
+    ]
+    found = agreement(paused[0], replace(paused[1], q_wb=stranger))
+    assert found.time.correlation < 0.7
+    assert agreement(*paused).time.correlation > 0.99

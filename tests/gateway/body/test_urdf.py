@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 from gateway.body.body_file import load_body
 from gateway.body.joint_angles import JointAngles, posture
 from gateway.body.kinematics import joint_positions
 from gateway.body.urdf import import_urdf
+from gateway.cli.main import app
 from gateway.errors import SettingsError
 
 URDF = (Path(__file__).parents[2] / "data" / "arm6.urdf").read_text()
@@ -125,3 +127,14 @@ def test_what_is_no_robot_is_refused_in_one_line(text, message):
         import_urdf(text, "arm6.urdf")
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith("arm6.urdf")
+
+
+def test_a_chain_of_any_length_is_shown_to_its_end(tmp_path):
+    """What was wider than the terminal was cut off."""
+    path, lengths = tmp_path / "chain.yaml", "tip: [0, 0.1, 0]"
+    later = [f"  - {{name: s{s}, parent: s{s - 1}, joint: [0, 0.1, 0], {lengths}}}" for s in range(1, 60)]
+    path.write_text(
+        "\n".join(["name: chain", "segments:", f"  - {{name: s0, parent: null, {lengths}}}", *later])
+    )
+    shown = CliRunner().invoke(app, ["body", "show", str(path)])
+    assert "s59  100 mm" in shown.output

@@ -184,6 +184,10 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
             "the ending of another format; of csv it is .csv",
         ),
         (
+            ("export", "{path}", "--to", "gltf", "-o", "x.gltf"),
+            "the ending of another format; of gltf it is .glb",
+        ),
+        (
             ("report", "{path}", "--force", "-o", "{path}"),
             "is itself what is read: name another file with --ou",
         ),

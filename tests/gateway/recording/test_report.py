@@ -101,3 +101,10 @@ def test_nothing_is_overwritten_unasked(record, typed, tmp_path):
         typed("report", record(), "-o", target)
     assert typed("report", record(name="b"), "-o", target, "--force")[0] == 0
     assert target.read_text().startswith("<!doctype html>")
+
+
+@pytest.mark.parametrize("name", ["a.pdf", "a.mcap", "a"])
+def test_a_page_is_not_written_into_a_file_of_another_kind(name, record, typed, tmp_path):
+    with pytest.raises(GatewayError, match=r"name it a\.html"):
+        typed("report", record(), "-o", tmp_path / name)
+    assert not (tmp_path / name).exists()

@@ -8,10 +8,13 @@ import pytest
 
 viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
 
+from gateway.contract.messages import PoseMessage  # noqa: E402
 from gateway.viewer.assistant import Assistant  # noqa: E402 - needs the extra
 from gateway.viewer.body_steps import BodySteps  # noqa: E402
 from gateway.viewer.check_tab import CheckTab  # noqa: E402
+from gateway.viewer.panel import Panel  # noqa: E402
 from gateway.viewer.sensor_tab import SensorTab  # noqa: E402
+from gateway.viewer.stage import Stage  # noqa: E402
 from gateway.viewer.step_tab import _PLACE, Errands  # noqa: E402
 
 
@@ -34,6 +37,19 @@ async def test_a_step_stays_chosen(place):
     tab.set_language("de")
     assert tab._step.value == "Kniebeuge"
     assert "in die Knie" in tab._picture.content
+
+
+async def test_the_trail_is_named_after_the_root_whatever_it_is(place):
+    server, *_ = place
+    panel = Panel(server, (), Stage(server))
+    for root, named in (("base", "base"), ("pelvis", "Becken")):
+        still = {root: (1.0, 0.0, 0.0, 0.0)}
+        panel.add_pose(
+            PoseMessage(t_ns=1, seq=1, frame="ENU", order="wxyz", root=root, segments=still, status={})
+        )
+        assert panel.trail.label.endswith(f": {named}")
+        panel.set_language("de")
+        assert panel.trail.label == f"Spur: {named}"
 
 
 async def test_a_movement_stays_chosen(place):

@@ -360,6 +360,18 @@ def test_markers_go_along_in_tables_with_what_became_of_them(tmp_path, axes):
     assert [k for k in kept if rows[k]["marker_SACR_used"] == "False"] == list(range(30, 35))
 
 
+@pytest.mark.parametrize("name", ["bvh", "c3d", "csv", "mot", "osim", "sto", "trc"])
+def test_names_in_any_letters_are_written(name, tmp_path):
+    """Headers hold the file's name, and markers may be called anything: both ended with a traceback."""
+    arrays, kind = with_markers(), FORMATS[name]
+    markers = replace(arrays.markers, labels=("Schädel", "RASI", "SACR"))
+    path = tmp_path / f"Übung ☃{kind.suffix}"
+    kind.write(take_of(replace(arrays, markers=markers), path.stem, kind.axes), path, kind.units_per_m)
+    if name == "trc":
+        assert "Schädel" in read_markers(path).labels
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
 def test_markers_go_along_in_trc_and_c3d(tmp_path):
     ezc3d = pytest.importorskip("ezc3d", reason="the extra 'export' is not installed")
     arrays = with_markers()

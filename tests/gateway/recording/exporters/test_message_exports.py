@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from gateway.cli.main import app
 from gateway.contract import ros_messages as ros
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.recording import open_recording
+from gateway.recording import Recording, open_recording
 from gateway.recording.exporters import foxglove as of_foxglove
 from gateway.recording.exporters import ros2
 from gateway.recording.exporters.formats import FORMATS, Axes
@@ -296,3 +297,17 @@ def test_rerun_sees_transforms(tmp_path, person, kind):
     )
     shown = subprocess.run([rerun, "rrd", "print", tmp_path / "walk.rrd"], capture_output=True, check=True)
     assert b"Transform3D:quaternion" in shown.stdout
+
+
+@pytest.mark.parametrize("name", ["ros2", "foxglove"])
+def test_a_pause_costs_messages_nothing(record, typed, tmp_path, monkeypatch, name):
+    """As they are at the instants that were recorded; formats of a regular rate are refused."""
+    paused = replace(ARRAYS, time_ns=ARRAYS.time_ns + 86_400_000_000_000 * (np.arange(len(ARRAYS.q_wb)) > 50))
+    monkeypatch.setattr(Recording, "skeleton_arrays", lambda *_: paused)
+    code, told = typed("export", record(), "--to", name, "-o", tmp_path / "out", "--json")
+    assert code == 0
+    assert (told[0]["frames"], told[0]["interpolated"]) == (len(ARRAYS.q_wb), {})
+    assert told[0]["seconds"] == pytest.approx(86_400, abs=2)
+    with Path(told[0]["file"]).open("rb") as file:
+        times = [message.log_time for *_, message in make_reader(file).iter_messages(["/tf"])]
+    assert times == paused.time_ns.tolist()
