@@ -130,7 +130,7 @@ def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: 
         path = output
     refuse_existing(path, force, source=file)
     if path.suffix.lower() != Path(f"x{suffix}").suffix:
-        raise GatewayError(f"{path}: that is the ending of another format; of {name} it is {suffix}")
+        raise GatewayError(f"{path}: name it {path.name.partition('.')[0]}{suffix}, the ending of {name}")
     return path
 
 

@@ -181,11 +181,11 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
         (("export", "{path}", "--to", "csv", "--force", "-o", "{path}"), "is itself what is read"),
         (
             ("export", "{path}", "--to", "csv", "-o", "x.bvh"),
-            "the ending of another format; of csv it is .csv",
+            "name it x.csv, the ending of csv",
         ),
         (
             ("export", "{path}", "--to", "gltf", "-o", "x.gltf"),
-            "the ending of another format; of gltf it is .glb",
+            "name it x.glb, the ending of gltf",
         ),
         (
             ("report", "{path}", "--force", "-o", "{path}"),
