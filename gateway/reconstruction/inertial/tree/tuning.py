@@ -94,7 +94,7 @@ class Tuning(Record):
     bias: float = constant(
         0.01, "rad/s", "at the start", "half a degree per second, as after a factory calibration"
     )
-    bias_walk: float = constant(1e-4, "rad/s/√s", "of the bias", "warming up, data sheets")
+    bias_walk: float = constant(2e-4, "rad/s/√s", "of the bias", "warming up, data sheets")
     largest_rate: float = constant(
         34.8, "rad/s", "beyond it a gyroscope is saturated", "2000 °/s less rounding"
     )
