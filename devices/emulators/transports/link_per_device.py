@@ -20,8 +20,9 @@ class LinkPerDevice:
 
     @property
     def url(self) -> str:
-        """What a gateway's links are to be called; empty while closed."""
-        return " ".join(self.urls.values())
+        """What a gateway's links are to be called; empty until all are open."""
+        urls = self.urls
+        return " ".join(urls.values()) if len(urls) == len(self._each) else ""
 
     @property
     def urls(self) -> dict[int, str]:
