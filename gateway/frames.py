@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,8 +71,16 @@ INERTIAL_SAMPLE = np.dtype(
 SPECIFIC_FORCE, ANGULAR_RATE, MAGNETIC_FIELD = range(3)
 """m/s², rad/s, µT."""
 NOT_READ = (float("nan"),) * 3
-Sample = tuple[int, int, int, tuple[Vector3, Vector3, Vector3], int]
-"""A row of a batch, in the order of ``INERTIAL_SAMPLE``."""
+
+
+class Sample(NamedTuple):
+    """A row of a batch, with the fields of ``INERTIAL_SAMPLE`` in their order."""
+
+    module: int
+    sequence: int
+    time_ns: int
+    measured: tuple[Vector3, Vector3, Vector3]
+    clipped: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +91,7 @@ class InertialBatch:
 
     @classmethod
     def of(cls, rows: Sequence[Sample]) -> InertialBatch:
-        """Return a batch of samples, each in the order of ``INERTIAL_SAMPLE``."""
+        """Return a batch of samples."""
         return cls(np.array(rows, INERTIAL_SAMPLE))
 
     def __len__(self) -> int:

@@ -30,10 +30,10 @@ def fed(session: SensorSession, stream: Stream, makers: MakersModules) -> Iterat
         )
 
     def take_others(samples: Sequence[Sample], chunk: Chunk) -> None:
-        for module, _, _, measured, _ in samples:
+        for sample in samples:
             # Other makers mark a sensor that was not read by NaN, our own packets by None.
-            force, rate, field = (None if math.isnan(each[0]) else each for each in measured)
-            session.add(module, chunk.arrived_ns, force, rate, field)
+            force, rate, field = (None if math.isnan(each[0]) else each for each in sample.measured)
+            session.add(sample.module, chunk.arrived_ns, force, rate, field)
 
     for packet_class in (InertialSample, InertialSampleFine):
         stream.listen(packet_class, take)

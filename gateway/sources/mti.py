@@ -98,8 +98,9 @@ class MtiDevice(MakersDevice):
         if "acceleration" in values and "rate_of_turn" in values:
             (fx, fy, fz), (wx, wy, wz) = values["acceleration"], values["rate_of_turn"]
             self._newest = number
-            return self.module, number, time_ns, ((fx, fy, fz), (wx, wy, wz), field), _clipped(message)
-        return self.module, self._newest, time_ns, (NOT_READ, NOT_READ, field), 0
+            measured = (fx, fy, fz), (wx, wy, wz), field
+            return Sample(self.module, number, time_ns, measured, _clipped(message))
+        return Sample(self.module, self._newest, time_ns, (NOT_READ, NOT_READ, field))
 
     def _number(
         self, message: Measurement, stamp_us: int, record: ModuleRecord, modules: ModuleTable, chunk: Chunk

@@ -116,7 +116,7 @@ class MvnDevice(MakersDevice):
             if number is not None:
                 field = scaled(item.field, self.settings.field_ut) if any(item.field) else NOT_READ
                 measured = item.specific_force, item.angular_rate, field
-                yield record.module, number, self._time_ns, measured, 0
+                yield Sample(record.module, number, self._time_ns, measured)
 
     def _dated(
         self, readings: Sequence[tuple[int, _Reading]], message: Datagram, modules: ModuleTable, chunk: Chunk

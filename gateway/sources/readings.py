@@ -30,7 +30,7 @@ class Readings:
         self._n_batched, self._found = self.n_rows, []
 
     def add_sample(self, sample: Sample) -> None:
-        """Add a sample, in the order of ``INERTIAL_SAMPLE``."""
+        """Add a sample."""
         self.rows[self.n_rows] = sample
         self.n_rows += 1
 

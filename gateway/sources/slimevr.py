@@ -367,7 +367,7 @@ class SlimevrDevice(MakersDevice):
             self.without_reading += 1
             return None
         measured = felt.specific_force, felt.angular_rate, NOT_READ
-        return module, felt.number, felt.time_ns, measured, 0
+        return Sample(module, felt.number, felt.time_ns, measured)
 
     def _returned(self, tracker: _Tracker, pong: Pong, chunk: Chunk) -> None:
         token, sent_ns = self._asked.pop(pong.token % _TOKENS, (None, 0))

@@ -149,7 +149,7 @@ class Stream:
             self.echoed += 1
             return  # our own, echoed by a bus; its time is that of no module
         read = self._read(packet, chunk)
-        if isinstance(read, tuple):
+        if isinstance(read, Sample):
             self._readings.add_sample(read)
         elif read is not None:
             self._readings.add(read)
@@ -251,7 +251,7 @@ def _inertial(
     clipped = _FORCE_CLIPPED * packet.specific_force_clipped | _RATE_CLIPPED * packet.angular_rate_clipped
     field = None if packet.magnetic_field_clipped else packet.magnetic_field  # it points elsewhere
     measured = packet.specific_force or NOT_READ, packet.angular_rate or NOT_READ, field or NOT_READ
-    return record.module, sequence, time_ns, measured, clipped
+    return Sample(record.module, sequence, time_ns, measured, clipped)
 
 
 def _fused(record: ModuleRecord, packet: FusedSample, sequence: int, time_ns: int) -> Reading:

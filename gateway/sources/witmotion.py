@@ -120,7 +120,7 @@ class WitMotionDevice(MakersDevice):
             counter = record.counter(InertialSample.KIND | MAGNETIC)
             counter.count_unwrapped(counter.received, modules.losses(chunk.link))
             field = scaled(message.field, self._count_ut)
-            return self.module, number, time_ns, (NOT_READ, NOT_READ, field), 0
+            return Sample(self.module, number, time_ns, (NOT_READ, NOT_READ, field))
         if not isinstance(message, Values):
             self.decoder.unused += 1
         return None
@@ -137,7 +137,7 @@ class WitMotionDevice(MakersDevice):
             record.health = health(temperature_celsius=message.celsius)
         force = scaled(message.specific_force, GRAVITY)
         rate = scaled(message.angular_rate, math.pi / 180.0)
-        return self.module, number, time_ns, (force, rate, NOT_READ), _clipped(message)
+        return Sample(self.module, number, time_ns, (force, rate, NOT_READ), _clipped(message))
 
 
 class WitMotionSource(MakersSource):

@@ -91,11 +91,11 @@ class Ximu3Device(MakersDevice):
             number = self._magnetic.number(message.time_us)
             record.counter(InertialSample.KIND | MAGNETIC).count_unwrapped(number, losses)
             field = scaled(message.field, self.settings.field_ut)
-            return self.module, self._inertial.newest, time_ns, (NOT_READ, NOT_READ, field), 0
+            return Sample(self.module, self._inertial.newest, time_ns, (NOT_READ, NOT_READ, field))
         number = self._inertial.number(message.time_us)
         record.counter(InertialSample.KIND).count_unwrapped(number, losses)
         force, rate = scaled(message.specific_force, GRAVITY), scaled(message.angular_rate, math.pi / 180.0)
-        return self.module, number, time_ns, (force, rate, NOT_READ), _clipped(message)
+        return Sample(self.module, number, time_ns, (force, rate, NOT_READ), _clipped(message))
 
     def command_address(self, module: int) -> str:
         """Return host and port on which it takes commands; empty where there is one other end."""

@@ -16,7 +16,7 @@ from firmware_protocol import InertialSample
 from gateway.body.rig import load_rig
 from gateway.contract.balances import Balance, unaccounted
 from gateway.errors import SettingsError
-from gateway.frames import NOT_READ, InertialBatch
+from gateway.frames import NOT_READ, InertialBatch, Sample
 from gateway.outputs.settings import MqttSettings
 from gateway.pipeline import Pipeline
 from gateway.recording import open_recording
@@ -62,7 +62,7 @@ class TextSource(ListeningSource):
         number = counter.count(int(count) & 0xFFFF, self.modules.losses(chunk.link))
         if number is None:
             return None
-        return record.module, number, time_ns, ((fx, fy, fz), (wx, wy, wz), NOT_READ), 0
+        return Sample(record.module, number, time_ns, ((fx, fy, fz), (wx, wy, wz), NOT_READ))
 
     def dropped(self):
         return {name: {"bad_line": count} for name, count in self.bad.items()}

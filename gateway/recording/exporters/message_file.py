@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 
 import gateway
 from devices.link import Chunk, SentChunk
-from gateway.frames import FloatArray, InertialBatch
+from gateway.frames import FloatArray, InertialBatch, Sample
 from gateway.recording.exporters.take import Take
 from gateway.recording.reading import Recording
 from gateway.recording.solving import recorded_source, recording_pipeline
@@ -99,6 +99,5 @@ def samples_of(recording: Recording) -> Iterator[ModuleSample]:
 
 
 def _samples(batch: InertialBatch) -> Iterator[ModuleSample]:
-    for module, _, time_ns, measured, _ in batch.samples.tolist():
-        force, rate, field = np.asarray(measured)
-        yield ModuleSample(module, time_ns, force, rate, field)
+    for sample in map(Sample._make, batch.samples.tolist()):
+        yield ModuleSample(sample.module, sample.time_ns, *np.asarray(sample.measured))
