@@ -18,7 +18,7 @@ from gateway.recording import Recording, open_recording
 from gateway.recording.exporters.formats import FORMATS, Axes
 from gateway.recording.exporters.take import take_of
 from gateway.recording.snapshot import decode_suit
-from gateway.recording.solving import Source, recorded_source, write_solved
+from gateway.recording.solving import SolvingSetup, recorded_setup, write_solved
 from gateway.report import gather, write_report
 
 
@@ -110,7 +110,7 @@ def _make(job: Job, folder: Path) -> str | None:
     name = job.source.stem
     if task.is_solved:
         solved = folder / f"{name}.mcap"
-        write_solved(recording, solved, _source(recording, task))
+        write_solved(recording, solved, _setup(recording, task))
         note, recording = recording.defect, open_recording(solved)
     else:
         note = None
@@ -138,8 +138,8 @@ def _export(recording: Recording, task: Task, folder: Path, name: str) -> list[s
     return lacks
 
 
-def _source(recording: Recording, task: Task) -> Source:
-    recorded = recorded_source(recording)
+def _setup(recording: Recording, task: Task) -> SolvingSetup:
+    recorded = recorded_setup(recording)
     suit = recorded.suit if task.suit is None else decode_suit(task.suit)
     settings = recorded.settings.solved_by(task.reconstructor, task.delay_ms)
-    return Source(suit, settings, recorded.smoothed if task.smooth is None else task.smooth)
+    return SolvingSetup(suit, settings, recorded.smoothed if task.smooth is None else task.smooth)

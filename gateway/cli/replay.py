@@ -24,7 +24,7 @@ from gateway.support.processor import NATIVE
 if TYPE_CHECKING:
     from devices.marker_file_link import MarkerFileLink
     from gateway.recording import Recording
-    from gateway.recording.solving import Source
+    from gateway.recording.solving import SolvingSetup
     from gateway.service.service import Service
 
 
@@ -35,19 +35,19 @@ _REFRESH_S = 0.1
 
 
 def replay_live(
-    recording: Recording, source: Source, speed: float | None, *, embedded: bool, as_json: bool
+    recording: Recording, setup: SolvingSetup, speed: float | None, *, embedded: bool, as_json: bool
 ) -> None:
     """Play until the end or Ctrl-C. Waits for the broker first; at full speed for its subscribers too."""
     from gateway.recording.solving import with_recorded_table
     from gateway.service.service import Service
 
-    settings = for_playing(source.settings, embedded=embedded)
+    settings = for_playing(setup.settings, embedded=embedded)
     # A recording that is played must not record itself.
     kept = settings.recording.model_copy(update={"at_start": False})
     settings = settings.model_copy(update={"recording": kept})
     link = ReplayLink(recording.meta.path, speed=speed)
     with with_recorded_table(recording, settings) as complete:
-        service = Service(complete, source.suit, [link])
+        service = Service(complete, setup.suit, [link])
 
     link.hold = Brake(service, is_paced=speed is not None).hold
     typer.echo(f"playing to {settings.mqtt.base_topic}/{settings.gateway}/pose; Ctrl-C ends", err=True)
@@ -145,37 +145,37 @@ def replay(
             "--smooth, --output"
         )
     recording = open_recording(file)
-    source = _source(recording, wanted, config)
-    make_ready(source.settings.reconstructor)
+    setup = _setup(recording, wanted, config)
+    make_ready(setup.settings.reconstructor)
     if verified:
         _verify(recording, as_json)
     elif wanted.is_asked_for or output:
-        _solve(recording, source, output or wanted.target(file), as_json)
+        _solve(recording, setup, output or wanted.target(file), as_json)
     elif offline:
-        _solve(recording, source, None, as_json)
+        _solve(recording, setup, None, as_json)
     else:
-        _note_others(recording, source)
-        replay_live(recording, source, factor, embedded=embedded, as_json=as_json)
+        _note_others(recording, setup)
+        replay_live(recording, setup, factor, embedded=embedded, as_json=as_json)
     if recording.defect is not None:
         typer.echo(f"note: {recording.defect}", err=True)
 
 
-def _note_others(recording: Recording, source: Source) -> None:
+def _note_others(recording: Recording, setup: SolvingSetup) -> None:
     """Say where the poses in the file are not those that are played."""
-    if source.smoothed:
+    if setup.smoothed:
         typer.echo("note: poses are played as they came live; the smoothed ones stand in the file", err=True)
     if recording.meta.solved_by:
         typer.echo(
-            f"note: poses are played as {source.settings.reconstructor} makes them; those of "
+            f"note: poses are played as {setup.settings.reconstructor} makes them; those of "
             f"{recording.meta.solved_by} stand in the file",
             err=True,
         )
 
 
-def _source(recording: Recording, wanted: SolvedOtherwise, config: Path | None) -> Source:
+def _setup(recording: Recording, wanted: SolvedOtherwise, config: Path | None) -> SolvingSetup:
     """Return what to solve with: as recorded, but for what was asked otherwise."""
     from gateway.body.rig import load_rig
-    from gateway.recording.solving import Source
+    from gateway.recording.solving import SolvingSetup
 
     given = None if config is None else load_gateway_settings(config)
     meta = recording.meta
@@ -194,7 +194,7 @@ def _source(recording: Recording, wanted: SolvedOtherwise, config: Path | None) 
     if rig is not None:
         settings = settings.model_copy(update={"rig": rig})
     suit = load_rig(rig) if rig else meta.suit if meta.has_suit else load_rig(settings.rig, config)
-    return Source(suit, settings, meta.smoothed if wanted.smooth is None else wanted.smooth)
+    return SolvingSetup(suit, settings, meta.smoothed if wanted.smooth is None else wanted.smooth)
 
 
 def speed_of(text: str) -> float | None:
@@ -248,7 +248,7 @@ def _reasons(recording: Recording) -> list[str]:
     return reasons
 
 
-def _solve(recording: Recording, source: Source, target: Path | None, as_json: bool) -> None:
+def _solve(recording: Recording, setup: SolvingSetup, target: Path | None, as_json: bool) -> None:
     from gateway.recording.solving import solve, write_solved
 
     first_ns = last_ns = frames = 0
@@ -261,9 +261,9 @@ def _solve(recording: Recording, source: Source, target: Path | None, as_json: b
             bar(done, total)
 
         if target is not None:
-            frames = write_solved(recording, target, source, report)
+            frames = write_solved(recording, target, setup, report)
         else:
-            for frame in solve(recording, source, report):
+            for frame in solve(recording, setup, report):
                 first_ns, last_ns, frames = first_ns or frame.time_ns, frame.time_ns, frames + 1
     elapsed_s = time.perf_counter() - begun
     outcome = {
@@ -283,6 +283,6 @@ def _solve(recording: Recording, source: Source, target: Path | None, as_json: b
             f"{recording.meta.path} {target}`"
         )
     if not frames:
-        ids = ", ".join(map(str, source.suit.module_ids))
+        ids = ", ".join(map(str, setup.suit.module_ids))
         wanted = f"has it samples of the rig's modules ({ids})" if ids else "has it samples"
         raise GatewayError(f"{recording.meta.path} gives no pose: {wanted}? `mocap-gateway info` counts them")

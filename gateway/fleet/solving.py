@@ -19,7 +19,7 @@ from gateway.errors import GatewayError
 from gateway.fleet.archive import PROVENANCE, Archive, ArchiveError, Partition, columns_of, digest_of, parquet
 from gateway.recording import open_recording
 from gateway.recording.arrays import arrays_of
-from gateway.recording.solving import recorded_source, solve
+from gateway.recording.solving import recorded_setup, solve
 
 _CONNECT_S = 20
 _RETRIES = 2
@@ -66,9 +66,9 @@ def perform(job: Solving) -> Solved:
         return Solved(name, was_there=True)
     try:
         recording = open_recording(job.recording)
-        source = recorded_source(recording)
-        source = replace(source, settings=source.settings.model_copy(update={"reconstructor": job.method}))
-        arrays = arrays_of(solve(recording, source), source.suit.skeleton)
+        setup = recorded_setup(recording)
+        setup = replace(setup, settings=setup.settings.model_copy(update={"reconstructor": job.method}))
+        arrays = arrays_of(solve(recording, setup), setup.suit.skeleton)
         if arrays is None:
             return Solved(name, error="no pose comes of it")
         archive.write(target, columns_of(arrays, recording), provenance)

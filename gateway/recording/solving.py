@@ -59,7 +59,7 @@ class Verification:
 
 
 @dataclass(frozen=True)
-class Source:
+class SolvingSetup:
     """What poses are made with."""
 
     suit: WornSuit
@@ -68,15 +68,15 @@ class Source:
     """Forward and backward: see ``gateway.reconstruction.smoothing``."""
 
 
-def recorded_source(recording: Recording) -> Source:
+def recorded_setup(recording: Recording) -> SolvingSetup:
     """Return what the recorded poses were made with. Raises ``SettingsError``."""
-    return Source(recording.meta.suit, recording.meta.settings, recording.meta.smoothed)
+    return SolvingSetup(recording.meta.suit, recording.meta.settings, recording.meta.smoothed)
 
 
-def recording_pipeline(recording: Recording, source: Source) -> Pipeline:
+def recording_pipeline(recording: Recording, setup: SolvingSetup) -> Pipeline:
     """Return a pipeline that has not begun yet; the recording's links are announced."""
-    with with_recorded_table(recording, source.settings) as settings:
-        pipeline = Pipeline.from_settings(settings, source.suit)
+    with with_recorded_table(recording, setup.settings) as settings:
+        pipeline = Pipeline.from_settings(settings, setup.suit)
     for name, content in recording.meta.links.items():
         pipeline.add_link(name, content)
     return pipeline
@@ -84,11 +84,11 @@ def recording_pipeline(recording: Recording, source: Source) -> Pipeline:
 
 def solve(
     recording: Recording,
-    source: Source | None = None,
+    setup: SolvingSetup | None = None,
     progress: Progress | None = None,
 ) -> Iterator[SkeletonFrame]:
-    """Skeleton frames made anew from the recorded bytes; source: None for what was recorded."""
-    chosen = source or recorded_source(recording)
+    """Skeleton frames made anew from the recorded bytes; setup: None for what was recorded."""
+    chosen = setup or recorded_setup(recording)
     pipeline = recording_pipeline(recording, chosen)
     if not chosen.smoothed:
         yield from pipeline.replay(recording.inputs(progress))
@@ -104,8 +104,8 @@ def smoothed_arrays(recording: Recording, progress: Progress | None = None) -> S
     """Return all poses made anew, forward and backward.
 
     Raises ``GatewayError`` for a method that cannot go backward, ``RecordingError`` when there is no pose."""
-    source = replace(recorded_source(recording), smoothed=True)
-    arrays = arrays_of(solve(recording, source, progress), source.suit.skeleton)
+    setup = replace(recorded_setup(recording), smoothed=True)
+    arrays = arrays_of(solve(recording, setup, progress), setup.suit.skeleton)
     if arrays is None:
         raise RecordingError(f"{recording.parts.path} gives no pose")
     return replace(arrays, origin_ns=recording.meta.begun_ns if recording.meta.imported_from else None)
@@ -126,7 +126,7 @@ def verify(recording: Recording, progress: Progress | None = None) -> Verificati
     recomputed: deque[bytes] = deque()
     markers: deque[bytes] = deque(maxlen=_MOST_WAITING)  # left here where none were recorded
     compared = 0
-    with _poses_by_message(recording, recorded_source(recording), progress) as (poses_of, read_progress):
+    with _poses_by_message(recording, recorded_setup(recording), progress) as (poses_of, read_progress):
         for message in _with_progress(recording, read_progress):
             if message.topic == fmt.SKELETON:
                 made = recomputed.popleft() if recomputed else None
@@ -148,7 +148,7 @@ def verify(recording: Recording, progress: Progress | None = None) -> Verificati
 def write_solved(
     recording: Recording,
     target: Path,
-    source: Source,
+    setup: SolvingSetup,
     progress: Progress | None = None,
 ) -> int:
     """Return a new recording of the same bytes, with poses made anew, and the suit and configuration they
@@ -156,8 +156,8 @@ def write_solved(
     does.
     """
     meta, frames = recording.meta, 0
-    with with_recorded_table(recording, source.settings) as settings:
-        attachments = attachments_of(settings, source.suit)
+    with with_recorded_table(recording, setup.settings) as settings:
+        attachments = attachments_of(settings, setup.suit)
     session = session_record(
         meta.links,
         session=_solved_session(meta.session, attachments),
@@ -167,14 +167,14 @@ def write_solved(
         from_start=str(int(meta.from_start)),
         name=target.stem,
         solved_from=f"{meta.path.name} {meta.session}",
-        smoothed=str(int(source.smoothed)),
+        smoothed=str(int(setup.smoothed)),
         **({"imported_from": meta.imported_from} if meta.imported_from else {}),
     )
 
-    is_shown = source.settings.recording.transforms
-    transforms = BodyTransforms(source.suit.skeleton) if is_shown else None
+    is_shown = setup.settings.recording.transforms
+    transforms = BodyTransforms(setup.suit.skeleton) if is_shown else None
     with (
-        _poses_by_message(recording, source, progress) as (poses_of, read_progress),
+        _poses_by_message(recording, setup, progress) as (poses_of, read_progress),
         DerivedRecordingWriter(target, session, attachments, meta.begun_ns) as writer,
     ):
         # Everything else is copied as it is, so that the new recording replays like the old one.
@@ -205,15 +205,15 @@ def _solved_session(solved_from: str, attachments: Mapping[str, bytes]) -> str:
 
 @contextlib.contextmanager
 def _poses_by_message(
-    recording: Recording, source: Source, progress: Progress | None
+    recording: Recording, setup: SolvingSetup, progress: Progress | None
 ) -> Iterator[tuple[Callable[[RecordedMessage], list[SkeletonFrame]], Progress | None]]:
     """Yield a function that gives the frames each message completes, and what takes the progress meanwhile.
 
     The function is called with every message, in order. For smoothed poses all messages are gone through
     before, and progress has then been reported.
     """
-    pipeline = recording_pipeline(recording, source)
-    if not source.smoothed:
+    pipeline = recording_pipeline(recording, setup)
+    if not setup.smoothed:
         yield partial(_fed, pipeline), progress
         return
     with SmoothedPoses(pipeline) as smoothing:

@@ -14,7 +14,7 @@ from gateway.frames import FloatArray, IntArray, SkeletonFrame, Status
 from gateway.pipeline import Pipeline
 from gateway.recording.arrays import SkeletonArrays, arrays_of
 from gateway.recording.reading import Progress, RecordedStatistics, Recording
-from gateway.recording.solving import recorded_source, recording_pipeline
+from gateway.recording.solving import recorded_setup, recording_pipeline
 from gateway.recording.summary import RecordingSummary, summarise
 
 _MOST_BINS = 400
@@ -133,7 +133,7 @@ def gather(recording: Recording, progress: Progress | None = None) -> Findings:
     first_ns = next((chunk.arrived_ns for chunk in recording.chunks()), meta.begun_ns)
     bin_s = max(_SHORTEST_BIN_S, summary.duration_s / _MOST_BINS)
     bins = max(int(np.ceil(summary.duration_s / bin_s)), 1)
-    pipeline = recording_pipeline(recording, recorded_source(recording)) if suit else None
+    pipeline = recording_pipeline(recording, recorded_setup(recording)) if suit else None
     modules = _Modules(pipeline, _names(suit), first_ns, bin_s, bins)
     poses = _Poses(suit.skeleton.n_segments if suit else 0)
     events: list[InputEvent] = []

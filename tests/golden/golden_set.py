@@ -25,7 +25,7 @@ from gateway.reconstruction.video.networks.weights import weights_of
 from gateway.reconstruction.video.offline import reconstruct_recorded
 from gateway.reconstruction.video.tracker import VideoOptions
 from gateway.recording import Recording, open_recording
-from gateway.recording.solving import recorded_source, recording_pipeline, solve
+from gateway.recording.solving import recorded_setup, recording_pipeline, solve
 from gateway.sources.heat_maps import heat_map_frame
 from gateway.sources.markers import MarkerFrames
 from tests.golden.poses import PoseMessages, messages_of
@@ -97,7 +97,7 @@ def cases(folder: Path = FOLDER) -> list[Case]:
 
 def fed_live(recording: Recording) -> Iterator[SkeletonFrame]:
     """The poses as a running gateway makes them, chunk by chunk, with the method of the recording."""
-    pipeline = recording_pipeline(recording, recorded_source(recording))
+    pipeline = recording_pipeline(recording, recorded_setup(recording))
     for item in recording.inputs():
         if isinstance(item, Chunk):
             yield from pipeline.feed(item)
@@ -109,12 +109,12 @@ def fed_live(recording: Recording) -> Iterator[SkeletonFrame]:
 
 def _solved(recording: Recording, method: str) -> Iterator[SkeletonFrame]:
     """By a method that a configuration can name."""
-    source = recorded_source(recording)
+    setup = recorded_setup(recording)
     delay = DELAY.search(method)
     name = DELAY.sub("", method.removesuffix(SMOOTHED))
     delay_ms = 0.0 if delay is None else float(delay[1])
-    settings = source.settings.model_copy(update={"reconstructor": name, "reconstructor_delay_ms": delay_ms})
-    return solve(recording, replace(source, settings=settings, smoothed=method.endswith(SMOOTHED)))
+    settings = setup.settings.model_copy(update={"reconstructor": name, "reconstructor_delay_ms": delay_ms})
+    return solve(recording, replace(setup, settings=settings, smoothed=method.endswith(SMOOTHED)))
 
 
 def _marker_frames(recording: Recording) -> list[MarkerFrame]:

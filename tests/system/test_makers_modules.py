@@ -16,7 +16,7 @@ from gateway.doctor.examination import examine_file
 from gateway.doctor.findings import Surroundings, Verdict
 from gateway.frames import Status
 from gateway.recording import open_recording
-from gateway.recording.solving import recorded_source, recording_pipeline
+from gateway.recording.solving import recorded_setup, recording_pipeline
 from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S
 
@@ -306,7 +306,7 @@ def test_the_doctor_says_what_an_owner_would_change(emulated, configured, comman
 
 def dropped(recording):
     """Messages that could not be read, of all links."""
-    pipeline = recording_pipeline(recording, recorded_source(recording))
+    pipeline = recording_pipeline(recording, recorded_setup(recording))
     for item in recording.inputs():
         if isinstance(item, Chunk):
             pipeline.feed(item)

@@ -15,7 +15,7 @@ from devices.link import Chunk, SentChunk
 from gateway.frames import FloatArray, InertialBatch, Sample
 from gateway.recording.exporters.take import Take
 from gateway.recording.reading import Recording
-from gateway.recording.solving import recorded_source, recording_pipeline
+from gateway.recording.solving import recorded_setup, recording_pipeline
 
 
 class Pose(NamedTuple):
@@ -88,7 +88,7 @@ def samples_of(recording: Recording) -> Iterator[ModuleSample]:
     """Yield the samples of all inertial modules, roughly in order of time; none for other sources."""
     if not recording.meta.has_suit or recording.meta.solved_by:
         return
-    pipeline = recording_pipeline(recording, recorded_source(recording))
+    pipeline = recording_pipeline(recording, recorded_setup(recording))
     for item in recording.inputs():
         if isinstance(item, SentChunk):
             pipeline.sent(item)

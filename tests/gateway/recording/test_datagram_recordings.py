@@ -11,7 +11,7 @@ from devices.recording_format import chunk_of, message_of
 from devices.replay_link import ReplayLink
 from gateway.recording.reading import open_recording
 from gateway.recording.recovery import recover
-from gateway.recording.solving import recorded_source, verify, write_solved
+from gateway.recording.solving import recorded_setup, verify, write_solved
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_poses_of_several_senders_come_out_again_bit_for_bit(record, crowded_chu
     assert (found.is_identical, found.difference, found.not_recorded) == (True, None, 0)
     assert found.compared > 150
     solved = tmp_path / "solved.mcap"
-    write_solved(recording, solved, recorded_source(recording))
+    write_solved(recording, solved, recorded_setup(recording))
     recovered = tmp_path / "recovered.mcap"
     recover(solved, recovered)
     assert list(open_recording(recovered).chunks()) == crowded_chunks

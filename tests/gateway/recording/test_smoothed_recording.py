@@ -7,7 +7,7 @@ import pytest
 
 from gateway.errors import GatewayError
 from gateway.recording import open_recording
-from gateway.recording.solving import recorded_source, solve, verify, write_solved
+from gateway.recording.solving import recorded_setup, solve, verify, write_solved
 
 
 def test_smoothing_what_has_no_covariances_says_what_would_do(record, typed):
@@ -17,14 +17,14 @@ def test_smoothing_what_has_no_covariances_says_what_would_do(record, typed):
 
 @pytest.fixture
 def by_joint():
-    """The source of a recording, smoothed or not, with the method that can."""
+    """The setup of a recording, smoothed or not, with the method that can."""
 
-    def source(recording, smoothed):
-        recorded = recorded_source(recording)
+    def setup(recording, smoothed):
+        recorded = recorded_setup(recording)
         settings = recorded.settings.model_copy(update={"reconstructor": "joint"})
         return dataclasses.replace(recorded, settings=settings, smoothed=smoothed)
 
-    return source
+    return setup
 
 
 class TestSmoothed:
@@ -67,7 +67,7 @@ class TestSmoothed:
 
     def test_a_method_that_cannot_is_refused_before_anything_is_written(self, record, by_joint, tmp_path):
         recording = open_recording(record())
-        source = dataclasses.replace(recorded_source(recording), smoothed=True)
+        setup = dataclasses.replace(recorded_setup(recording), smoothed=True)
         with pytest.raises(GatewayError, match="smoothing is for"):
-            write_solved(recording, tmp_path / "x.mcap", source)
+            write_solved(recording, tmp_path / "x.mcap", setup)
         assert not (tmp_path / "x.mcap").exists()

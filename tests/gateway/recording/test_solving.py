@@ -15,7 +15,7 @@ from gateway.errors import GatewayError
 from gateway.geometry import quaternion
 from gateway.recording import open_recording
 from gateway.recording.difference import difference
-from gateway.recording.solving import Source, recorded_source, solve, verify, write_solved
+from gateway.recording.solving import SolvingSetup, recorded_setup, solve, verify, write_solved
 from gateway.report.angle_page import save_page
 from gateway.settings import ClockSettings, RecordingSettings
 
@@ -87,13 +87,13 @@ def test_without_poses_there_is_nothing_to_verify(record):
 
 def test_another_calibration_turns_the_segment_and_is_kept_with_the_result(record, tmp_path):
     recording = open_recording(record())
-    source = recorded_source(recording)
-    suit = source.suit
+    setup = recorded_setup(recording)
+    suit = setup.suit
     segment = int(np.flatnonzero(suit.module_of_segment >= 0)[1])
     turn = np.array([np.cos(np.pi / 12), 0.0, np.sin(np.pi / 12), 0.0])  # 30° in the sensor's axes
     turned = suit.sensor_to_segment.copy()
     turned[segment] = quaternion.multiply(suit.sensor_to_segment[segment], turn)
-    other = Source(dataclasses.replace(suit, sensor_to_segment=turned), source.settings)
+    other = SolvingSetup(dataclasses.replace(suit, sensor_to_segment=turned), setup.settings)
     target = tmp_path / "turned.mcap"
     assert write_solved(recording, target, other) == len(recording.skeleton_arrays().time_ns)
     result = open_recording(target)
@@ -113,10 +113,10 @@ def test_the_recorded_clock_table_is_used_where_the_file_is_gone(record):
     recording = open_recording(record())
     table = "reference: 0\nranking: [0, 1]\nalpha: {0: [1.0], 1: [1.00001]}\n"
     recording.meta.attachments = {**recording.meta.attachments, fmt.CLOCK_TABLE: table.encode()}
-    source = recorded_source(recording)
+    setup = recorded_setup(recording)
     clock = ClockSettings(mode="table", table="/gone/table.yaml")
-    source = dataclasses.replace(source, settings=source.settings.model_copy(update={"clock": clock}))
-    assert sum(1 for _ in solve(recording, source)) > 150
+    setup = dataclasses.replace(setup, settings=setup.settings.model_copy(update={"clock": clock}))
+    assert sum(1 for _ in solve(recording, setup)) > 150
 
 
 def test_results_are_compared_where_both_have_the_instant(record):
