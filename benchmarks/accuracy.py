@@ -27,7 +27,7 @@ from devices.emulators.recording_formats import (
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import Recording
+from devices.emulators.recordings import RecordedTracks
 from gateway.body.rig import load_rig
 from gateway.emulation.optical_reference import WINDOW_S, gyroscope_disagreement, in_time
 from gateway.emulation.recordings import SMOOTHED, Score, imu_frames, orientations, score
@@ -61,7 +61,7 @@ class Trial(NamedTuple):
     """A recording with the rig that fits it."""
 
     figure: str
-    read: Callable[[], Recording]
+    read: Callable[[], RecordedTracks]
     rig: str
     from_s: float = 0.0
     is_aided: bool = True
@@ -175,7 +175,7 @@ def _ratios(scores: dict[tuple[str, str], list[Score]]) -> Iterator[Figure]:
         yield Figure(f"sigma_coverage_{group}_percent", covered, "%", "", note)
 
 
-def _solve(recording: Recording, trial: Trial) -> Iterator[tuple[str, Score]]:
+def _solve(recording: RecordedTracks, trial: Trial) -> Iterator[tuple[str, Score]]:
     """Every method on the same frames."""
     suit = load_rig(trial.rig)
     if not trial.is_aided:

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks import joint_recordings as vendor
 from devices.emulators.recording_formats import read_hipose_mtw17
-from devices.emulators.recordings import Recording
+from devices.emulators.recordings import RecordedTracks
 from gateway.body.joint_angles import joint_angles
 from gateway.body.joints import Joint
 from gateway.body.skeleton import WornSuit
@@ -45,7 +45,7 @@ def hipose_trial(folder: Path) -> CalibratedTrial:
     return _trial(read_hipose_mtw17(folder), (1.0, 4.0), what)
 
 
-def _trial(recording: Recording, still: tuple[float, float], what: str) -> CalibratedTrial:
+def _trial(recording: RecordedTracks, still: tuple[float, float], what: str) -> CalibratedTrial:
     suit = vendor.dressed(recording)
     frames = imu_frames(recording, suit)
     begin_s = max(float(track.times[0]) for track in recording.modules)
@@ -70,13 +70,13 @@ def _trial(recording: Recording, still: tuple[float, float], what: str) -> Calib
     )
 
 
-def _angles(recording: Recording, suit: WornSuit) -> FloatArray:
+def _angles(recording: RecordedTracks, suit: WornSuit) -> FloatArray:
     frames = solve(recording, suit, "independent")
     return joint_angles(suit.skeleton, np.stack([frame.q_wb for frame in frames]))
 
 
 def _reference(
-    recording: Recording, suit: WornSuit, still: tuple[float, float]
+    recording: RecordedTracks, suit: WornSuit, still: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
     """The vendor's joint angles (T, n_joints, 3), and which instants come after the pose."""
     frames = solve(recording, suit, "independent")

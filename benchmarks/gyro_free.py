@@ -11,7 +11,7 @@ from scipy.io import loadmat
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
 from devices.emulators.recording_formats import read_broad
-from devices.emulators.recordings import Recording
+from devices.emulators.recordings import RecordedTracks
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.recordings import imu_frames, orientations, reference_at
@@ -70,7 +70,7 @@ def _without_gyroscopes(frame: ImuFrame) -> ImuFrame:
 
 
 def _solve(
-    method: str, suit: WornSuit, recording: Recording, frames: list[ImuFrame]
+    method: str, suit: WornSuit, recording: RecordedTracks, frames: list[ImuFrame]
 ) -> tuple[FloatArray, FloatArray]:
     """Times (T,) on the recording's clock and orientations (T, 1, 4)."""
     first_s = float(recording.modules[0].times[0])
@@ -91,7 +91,7 @@ def _triad(suit: WornSuit, frame: ImuFrame) -> FloatArray:
 
 
 def _errors(
-    times: FloatArray, q_wb: FloatArray, recording: Recording, is_moving: FloatArray
+    times: FloatArray, q_wb: FloatArray, recording: RecordedTracks, is_moving: FloatArray
 ) -> tuple[float, float]:
     """RMSE over the movement rows, total and tilt, degrees."""
     q_ref = reference_at(times, recording.references[0])

@@ -15,7 +15,7 @@ from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.recording_formats import read_hipose_mtw17
-from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
+from devices.emulators.recordings import ModuleTrack, RecordedTracks, ReferenceTrack
 from gateway.body.body_file import load_body
 from gateway.body.joint_angles import joint_angles
 from gateway.body.rig import load_rig
@@ -55,7 +55,7 @@ class JointTrial(NamedTuple):
     still_s: float
 
 
-def read_qmt(path: Path) -> Recording:
+def read_qmt(path: Path) -> RecordedTracks:
     """Sixteen modules at 100 Hz, without magnetometers, with the orientations that came with them."""
     data = loadmat(path, squeeze_me=True, struct_as_record=False)
     times = np.asarray(data["t"], dtype=np.float64)
@@ -66,10 +66,10 @@ def read_qmt(path: Path) -> Recording:
         none = np.full((len(times), 3), np.nan)
         modules.append(ModuleTrack(module, segment, times, track.acc, track.gyr, none))
         references.append(ReferenceTrack(segment, times, track.quat))
-    return Recording("qmt_fullbody16", 100.0, tuple(modules), tuple(references))
+    return RecordedTracks("qmt_fullbody16", 100.0, tuple(modules), tuple(references))
 
 
-def joint_trial(recording: Recording, still: tuple[float, float], reconstructor: str) -> JointTrial:
+def joint_trial(recording: RecordedTracks, still: tuple[float, float], reconstructor: str) -> JointTrial:
     """Joint angles over a recording.
 
     still: from when to when the person stood in the neutral pose, s.
@@ -96,7 +96,7 @@ def hipose(folder: Path) -> JointTrial:
     return joint_trial(read_hipose_mtw17(folder), (1.0, 4.0), "independent")
 
 
-def dressed(recording: Recording) -> WornSuit:
+def dressed(recording: RecordedTracks) -> WornSuit:
     """The 17-segment person with the recording's modules, their axes taken as the segments'.
 
     Shoulders by swing and twist: with arms that hang, single angles of the YXY sequence mean nothing.

@@ -18,7 +18,7 @@ from benchmarks.joint_recordings import as_segments, dressed, facing_of, read_qm
 from benchmarks.joints import QMT_STILL_S
 from benchmarks.never_worse.recordings import DATA
 from devices.emulators.recording_formats import read_hipose_mtw17
-from devices.emulators.recordings import Recording
+from devices.emulators.recordings import RecordedTracks
 from gateway.body.retargeting import Retargeter, RobotPose
 from gateway.body.robot import load_robot
 from gateway.body.skeleton import Skeleton
@@ -74,7 +74,7 @@ def figures() -> tuple[list[Figure], list[str]]:
     ], ["## iCub follows recorded people\n\n" + table(heads, rows)]
 
 
-def _recordings() -> Iterator[Recording]:
+def _recordings() -> Iterator[RecordedTracks]:
     for read, path in (
         (read_hipose_mtw17, DATA / "hipose_mtw17"),
         (read_qmt, DATA / "qmt_fullbody16" / "full_body_example_data.mat"),
@@ -85,7 +85,7 @@ def _recordings() -> Iterator[Recording]:
             print(f"skipped: {path} is not there")
 
 
-def _followed(recording: Recording) -> Followed:
+def _followed(recording: RecordedTracks) -> Followed:
     skeleton = dressed(recording).skeleton
     robot = load_robot("icub", skeleton, Path(icub_models.get_model_file("iCubGazeboV2_7")))
     solver = Retargeter(robot, skeleton)
@@ -112,7 +112,7 @@ def _followed(recording: Recording) -> Followed:
     )
 
 
-def _frames(recording: Recording, skeleton: Skeleton) -> Iterator[SkeletonFrame]:
+def _frames(recording: RecordedTracks, skeleton: Skeleton) -> Iterator[SkeletonFrame]:
     """Yield the person as the makers' filter found it, axes of modules turned to those of segments."""
     n = skeleton.n_segments
     times = np.arange(recording.references[0].times[0], recording.references[0].times[-1], 1 / RATE_HZ)

@@ -19,7 +19,7 @@ from devices.emulators.recording_formats import (
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import Recording
+from devices.emulators.recordings import RecordedTracks
 from gateway.calibration.sensors import magnetometer_ellipsoid
 from gateway.frames import FloatArray
 
@@ -117,7 +117,7 @@ def _recordings() -> Iterator[tuple[str, str, FloatArray, float]]:
     ]
     for source, read, place in sources:
         if place.exists():
-            recording: Recording = read(place)
+            recording: RecordedTracks = read(place)
             for track in recording.modules:
                 name = place.stem if len(recording.modules) == 1 else track.name
                 yield source, name, track.magnetic_field, recording.sampling_rate_hz

@@ -31,7 +31,7 @@ from benchmarks.joint_headings import heading_errors
 from benchmarks.joint_recordings import as_segments, dressed, facing_of
 from devices.emulators.motions import gait_motion
 from devices.emulators.recording_formats import METAL_TABLE_S, read_hipose_mtw17, read_ring_chain5
-from devices.emulators.recordings import Recording
+from devices.emulators.recordings import RecordedTracks
 from devices.link import Chunk
 from devices.vendor_protocols import slimevr as wire
 from gateway.body.rig import load_rig
@@ -348,7 +348,7 @@ def _person() -> Motion:
 
 
 def _of(
-    recording: Recording, suit: WornSuit, name: str, begin_s: float, cut_s: float, still_s: float = 0.0
+    recording: RecordedTracks, suit: WornSuit, name: str, begin_s: float, cut_s: float, still_s: float = 0.0
 ) -> Motion:
     """A recording between two times, with the ``still_s`` before that, in which nothing moves."""
     tracks = {track.module: track for track in recording.modules}

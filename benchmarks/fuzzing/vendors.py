@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 
 from benchmarks.fuzzing.files import SCRATCH, in_a_file, refused_or_read
-from devices.emulators.recordings import Recording
+from devices.emulators.recordings import RecordedTracks
 from devices.marker_files import MarkerTrial, read_c3d, read_trc
 from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
 from devices.vendor_formats.movella_dot import read_movella_dot
@@ -85,7 +85,7 @@ def _marked(trial: MarkerTrial) -> None:
     assert trial.rate_hz > 0, trial.rate_hz
 
 
-def _sound(found: Recording) -> None:
+def _sound(found: RecordedTracks) -> None:
     assert np.isfinite(found.sampling_rate_hz), found.sampling_rate_hz
     assert found.sampling_rate_hz > 0, found.sampling_rate_hz
     times = [track.times for track in found.modules]

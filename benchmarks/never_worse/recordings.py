@@ -24,7 +24,7 @@ from devices.emulators.recording_formats import (
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import Recording, ReferenceTrack, track_of
+from devices.emulators.recordings import RecordedTracks, ReferenceTrack, track_of
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.optical_reference import in_time
@@ -36,7 +36,7 @@ CUT_S = 30.0
 """Of a recording whose name ends in ``cut`` and the second of the trial that it begins at."""
 
 
-def backward(recording: Recording) -> Recording:
+def backward(recording: RecordedTracks) -> RecordedTracks:
     """The recording from its end to its beginning."""
     end_s = recording.duration_s
     modules = tuple(
@@ -59,7 +59,7 @@ def backward(recording: Recording) -> Recording:
     return replace(recording, modules=modules, references=references, local=local)
 
 
-def part(recording: Recording, begin_s: float, end_s: float, every: int = 1) -> Recording:
+def part(recording: RecordedTracks, begin_s: float, end_s: float, every: int = 1) -> RecordedTracks:
     """What lies between two times, its first sample at time 0, and of that every so many-th sample."""
 
     def kept(times: np.ndarray) -> np.ndarray:
@@ -97,7 +97,7 @@ def cut_from(name: str) -> float | None:
     return float(second) if found else None
 
 
-def case_of(name: str, kind: str, recording: Recording, suit: WornSuit) -> Case:
+def case_of(name: str, kind: str, recording: RecordedTracks, suit: WornSuit) -> Case:
     """What the gateway's own stages make of the recording, with the reference at the same instants."""
     frames = imu_frames(recording, suit)
     interval_s = 1.0 / recording.sampling_rate_hz
@@ -129,7 +129,7 @@ def _ring(name: str) -> Case:
     return _in_another_field(case, recording)
 
 
-def _in_another_field(case: Case, recording: Recording) -> Case:
+def _in_another_field(case: Case, recording: RecordedTracks) -> Case:
     """Iron about a metre away from where the chain moves; its segments hang on one another as in the rig."""
     times, (track,) = case.times_s, recording.local
     known = np.isfinite(track.values).all(axis=1)
@@ -197,7 +197,7 @@ def _foot(name: str) -> Case:
     times = np.arange(len(foot.force)) / RATE_HZ
     module = track_of(1, "module", times, foot.force, foot.rate)
     reference = ReferenceTrack("module", np.arange(len(markers)) / MARKER_RATE_HZ, q)
-    recording, _ = in_time(Recording(name, RATE_HZ, (module,), (reference,)))
+    recording, _ = in_time(RecordedTracks(name, RATE_HZ, (module,), (reference,)))
     suit = replace(load_rig("single_placed"), local_devices=())
     return case_of(name, "foot", recording, suit)
 

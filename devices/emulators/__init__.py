@@ -26,7 +26,7 @@ from devices.emulators.imperfections import IDEAL, PRESETS, ROUGH, TYPICAL, Impe
 from devices.emulators.kinematics_truth import MotionState
 from devices.emulators.motions import MOTIONS, BodyMotion, generic_motion
 from devices.emulators.power_cut import Moment, PowerCut
-from devices.emulators.recordings import Recording, play
+from devices.emulators.recordings import RecordedTracks, play
 from devices.emulators.suit_settings import SuitSettings
 from devices.emulators.suit_traffic import SuitTraffic
 from devices.emulators.waves import Fade
@@ -50,7 +50,7 @@ __all__ = [
     "Moment",
     "MotionState",
     "PowerCut",
-    "Recording",
+    "RecordedTracks",
     "SuitCounts",
     "SuitSettings",
     "SuitTraffic",

@@ -1,4 +1,4 @@
-"""Readers of the public data sets that the gateway is measured on: folder or file to ``Recording``.
+"""Readers of the public data sets that the gateway is measured on: folder or file to ``RecordedTracks``.
 
 All give SI units and wxyz quaternions to a world with Z up. Magnetic readings in arbitrary units are
 scaled so that each module's mean norm is ``NOMINAL_FIELD_UT``.
@@ -17,7 +17,7 @@ import numpy as np
 from devices.deferred import Rotation, loadmat
 from devices.emulators.bodies import FloatArray
 from devices.emulators.ideal_sensors import POSITION
-from devices.emulators.recordings import LocalTrack, ModuleTrack, Recording, ReferenceTrack, track_of
+from devices.emulators.recordings import LocalTrack, ModuleTrack, RecordedTracks, ReferenceTrack, track_of
 from devices.vendor_formats.xsens_text import read_mt_file
 
 LOCAL_DEVICE = 60
@@ -61,7 +61,7 @@ MTW_SEGMENTS = {
 """Last byte of the module's serial number, which is its module id here, to the segment that wears it."""
 
 
-def read_ring_chain5(trial: Path, kind: str = "rigid", root_marker: int | None = None) -> Recording:
+def read_ring_chain5(trial: Path, kind: str = "rigid", root_marker: int | None = None) -> RecordedTracks:
     """Read five modules at 40 Hz on a chain, an optical reference at 30 Hz, and the root's position.
 
     trial: folder of the trial. kind: ``rigid`` or ``nonrigid`` (modules on foam).
@@ -89,17 +89,17 @@ def read_ring_chain5(trial: Path, kind: str = "rigid", root_marker: int | None =
     markers = range(1, 5) if root_marker is None else [root_marker]
     root = np.mean([triple(optical, f"seg1_marker{marker}") for marker in markers], axis=0)
     local = LocalTrack(LOCAL_DEVICE, "root", optical_times, POSITION, root, _OPTICAL_SIGMA_M)
-    return Recording(f"ring_chain5_{kind}", 40.0, tuple(modules), tuple(references), (local,))
+    return RecordedTracks(f"ring_chain5_{kind}", 40.0, tuple(modules), tuple(references), (local,))
 
 
-def read_broad(path: Path) -> Recording:
+def read_broad(path: Path) -> RecordedTracks:
     """Read a BROAD trial (.mat): module 1 at 285.714 Hz, optical orientation and position at its instants."""
     trial = _matlab(path)
     times: FloatArray = np.arange(len(trial["imu_acc"]), dtype=np.float64) * _BROAD_INTERVAL_S
     module = ModuleTrack(1, "module", times, trial["imu_acc"], trial["imu_gyr"], trial["imu_mag"])
     reference = ReferenceTrack("module", times, trial["opt_quat"])
     local = LocalTrack(LOCAL_DEVICE, "module", times, POSITION, trial["opt_pos"], _OPTICAL_SIGMA_M)
-    return Recording(f"broad_{path.stem}", 1.0 / _BROAD_INTERVAL_S, (module,), (reference,), (local,))
+    return RecordedTracks(f"broad_{path.stem}", 1.0 / _BROAD_INTERVAL_S, (module,), (reference,), (local,))
 
 
 def _matlab(path: Path) -> dict[str, Any]:
@@ -112,13 +112,13 @@ def _matlab(path: Path) -> dict[str, Any]:
         raise ValueError(f"no MATLAB file: {error}") from error
 
 
-def read_repoimu_tstick(path: Path) -> Recording:
+def read_repoimu_tstick(path: Path) -> RecordedTracks:
     """Read a RepoIMU T-stick trial: module 1 at 100 Hz with optical orientation."""
     track, reference = _read_repoimu(path, 1, "module")
-    return Recording(f"repoimu_{path.stem}", 100.0, (track,), (reference,))
+    return RecordedTracks(f"repoimu_{path.stem}", 100.0, (track,), (reference,))
 
 
-def read_repoimu_pendulum(folder: Path) -> Recording:
+def read_repoimu_pendulum(folder: Path) -> RecordedTracks:
     """Read the three segments of a RepoIMU pendulum trial, modules 1 to 3, about 50 Hz.
 
     The logger repeated what had not changed: rows without a new angular rate are dropped, and the
@@ -133,10 +133,10 @@ def read_repoimu_pendulum(folder: Path) -> Recording:
     pairs = [_read_repoimu(path, n, f"segment_{n}") for n, path in enumerate(paths, start=1)]
     modules = tuple(module for module, _ in pairs)
     references = tuple(_x_down_to_z_up(_without_flips(reference)) for _, reference in pairs)
-    return Recording("repoimu_pendulum", 50.0, modules, references)
+    return RecordedTracks("repoimu_pendulum", 50.0, modules, references)
 
 
-def read_hipose_mtw17(folder: Path) -> Recording:
+def read_hipose_mtw17(folder: Path) -> RecordedTracks:
     """Seventeen Xsens modules on a whole body at 60 Hz, with the orientations of Xsens' own filter.
 
     The references' world, north-west-up, is turned to east-north-up. They are orientations of the
@@ -153,7 +153,7 @@ def read_hipose_mtw17(folder: Path) -> Recording:
         name, read = MTW_SEGMENTS[module], file.readings
         modules.append(track_of(module, name, times, read[:, :3], read[:, 3:6], read[:, 6:9]))
         references.append(ReferenceTrack(name, times, read[:, 9:]))
-    return Recording("hipose_mtw17", 60.0, tuple(modules), tuple(references))
+    return RecordedTracks("hipose_mtw17", 60.0, tuple(modules), tuple(references))
 
 
 def _named_columns(path: Path, header_row: int) -> Any:
@@ -215,7 +215,7 @@ def _x_down_to_z_up(track: ReferenceTrack) -> ReferenceTrack:
     return replace(track, q_wb=q_wb)
 
 
-READERS: dict[str, Callable[[Path], Recording]] = {
+READERS: dict[str, Callable[[Path], RecordedTracks]] = {
     "broad": read_broad,
     "hipose_mtw17": read_hipose_mtw17,
     "repoimu_pendulum": read_repoimu_pendulum,

@@ -89,7 +89,7 @@ class LocalTrack:
 
 
 @dataclass(frozen=True)
-class Recording:
+class RecordedTracks:
     """A capture as its modules delivered it, with what else is known of the motion."""
 
     name: str
@@ -167,7 +167,7 @@ def _usual_norm(field: FloatArray) -> float:
     return float(np.nanmean(norms)) if np.isfinite(norms).any() else 0.0
 
 
-def play(recording: Recording, encoding: Encoding | None = None) -> Iterator[Transmission]:
+def play(recording: RecordedTracks, encoding: Encoding | None = None) -> Iterator[Transmission]:
     """Yield what the modules would have sent, in order of time: (time in s, bytes) without any delay.
 
     Every module introduces itself, then sends its samples as ``InertialSampleFine``, and its own

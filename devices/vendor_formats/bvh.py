@@ -17,7 +17,7 @@ import numpy as np
 from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
 from devices.emulators.ideal_sensors import POSITION
-from devices.emulators.recordings import FusedTrack, LocalTrack, Recording
+from devices.emulators.recordings import FusedTrack, LocalTrack, RecordedTracks
 from devices.vendor_formats.gaps import checked_rate
 from devices.vendor_formats.sheets import FormatError, read_lines
 
@@ -68,7 +68,7 @@ class _Motion:
 
 def read_bvh(
     path: Path, leg_m: float, given: Mapping[str, str] | None = None, *, partial: bool = False
-) -> Recording:
+) -> RecordedTracks:
     """Read a module for every segment of a person, by the segment's name, and the hips' path.
 
     leg_m: thigh and shank together of who shall move so, m: the file's unit follows from its own. given:
@@ -103,7 +103,7 @@ def read_bvh(
         f"the file's unit is taken for {unit_m:.4g} m, by which its legs are as long as the body's",
         *motion.notes,
     )
-    return Recording("bvh", motion.rate_hz, (), local=(local,), fused=fused, notes=notes)
+    return RecordedTracks("bvh", motion.rate_hz, (), local=(local,), fused=fused, notes=notes)
 
 
 def _quaternions(rotations: FloatArray) -> FloatArray:

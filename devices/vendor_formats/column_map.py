@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
+from devices.emulators.recordings import FusedTrack, ModuleTrack, RecordedTracks
 from devices.vendor_formats.gaps import RATES, in_order, index_of_times, rate_of, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
@@ -103,7 +103,7 @@ class ColumnMap(_Strict):
 
 def read_mapped_csv(
     path: Path | None, columns: ColumnMap, folder: Path, *, partial: bool = False
-) -> Recording:
+) -> RecordedTracks:
     """Read modules; ``path`` is of those that name no file, ``folder`` of those that do.
 
     Raises ``FormatError``.
@@ -127,7 +127,7 @@ def read_mapped_csv(
         add_tracks(number, mapped.name, times - zero, rows, modules, fused)
     rate_hz = columns.rate_hz or rate_of(np.diff(read[0][0]), next(iter(sheets)), decimals=2)
     notes = tuple(sheet.note for sheet in sheets.values() if sheet.note)
-    return Recording("csv", rate_hz, tuple(modules), fused=tuple(fused), notes=notes)
+    return RecordedTracks("csv", rate_hz, tuple(modules), fused=tuple(fused), notes=notes)
 
 
 def _wanted(mapped: MappedModule) -> list[str]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import Recording
+from devices.emulators.recordings import RecordedTracks
 from devices.vendor_formats.gaps import in_order, rate_of, spread, unwrapped
 from devices.vendor_formats.labels import labels_of, refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
@@ -26,7 +26,9 @@ _COUNTER_BITS = 32
 _SENSORS = [f"{sensor}_{axis}" for sensor in ("Acc", "Gyr", "Mag") for axis in "XYZ"]
 
 
-def read_movella_dot(paths: Sequence[Path], *, align: str = "stamps", partial: bool = False) -> Recording:
+def read_movella_dot(
+    paths: Sequence[Path], *, align: str = "stamps", partial: bool = False
+) -> RecordedTracks:
     """Read modules, numbered from 0 in the order of the files.
 
     align: ``stamps`` for modules that were synchronised, ``start`` lets all begin together. Raises
@@ -47,7 +49,7 @@ def read_movella_dot(paths: Sequence[Path], *, align: str = "stamps", partial: b
     modules, fused = stamped_tracks(labels, tables, align)
     rate_hz = rate_of(np.diff(tables[0][0]), paths[0])
     notes = tuple(sheet.note for sheet in sheets if sheet.note)
-    return Recording("movella_dot", rate_hz, tuple(modules), fused=tuple(fused), notes=notes)
+    return RecordedTracks("movella_dot", rate_hz, tuple(modules), fused=tuple(fused), notes=notes)
 
 
 def _module(sheet: Sheet) -> tuple[FloatArray, FloatArray]:

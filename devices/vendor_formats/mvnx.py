@@ -19,7 +19,7 @@ from defusedxml.ElementTree import iterparse
 from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
 from devices.emulators.ideal_sensors import POSITION
-from devices.emulators.recordings import FusedTrack, LocalTrack, Recording
+from devices.emulators.recordings import FusedTrack, LocalTrack, RecordedTracks
 from devices.vendor_formats.gaps import checked_rate, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, refuse_device
@@ -43,7 +43,7 @@ class _Found:
     positions: list[FloatArray] = field(default_factory=list)
 
 
-def read_mvnx(path: Path, *, partial: bool = False) -> Recording:
+def read_mvnx(path: Path, *, partial: bool = False) -> RecordedTracks:
     """Read a module for every segment, numbered from 0 in the file's order. Raises ``FormatError``."""
     found, note = _Found(), None
     try:
@@ -65,7 +65,7 @@ def read_mvnx(path: Path, *, partial: bool = False) -> Recording:
     return _recording(path, found, note)
 
 
-def _recording(path: Path, found: _Found, note: str | None) -> Recording:
+def _recording(path: Path, found: _Found, note: str | None) -> RecordedTracks:
     refuse_repeats(found.labels)
     index = np.array(found.index, dtype=np.int64)
     # Missing frames are gaps, but frames out of order are no recording.
@@ -86,7 +86,9 @@ def _recording(path: Path, found: _Found, note: str | None) -> Recording:
         local = (LocalTrack(PATH_DEVICE, found.labels[0], times, POSITION, way, _PATH_SIGMA_M),)
     notes = () if note is None else (note,)
     begun_ns = found.begun_ms * 10**6
-    return Recording("mvnx", found.rate_hz, (), local=local, fused=fused, begun_utc_ns=begun_ns, notes=notes)
+    return RecordedTracks(
+        "mvnx", found.rate_hz, (), local=local, fused=fused, begun_utc_ns=begun_ns, notes=notes
+    )
 
 
 def _elements(path: Path) -> Iterator[Element]:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import Recording
+from devices.emulators.recordings import RecordedTracks
 from devices.vendor_formats.gaps import in_order, index_of_times, rate_of, spread, usual_interval
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, open_sheet
@@ -35,7 +35,7 @@ def folders_of(path: Path) -> list[Path]:
     )
 
 
-def read_ximu3(paths: Sequence[Path], *, align: str = "stamps", partial: bool = False) -> Recording:
+def read_ximu3(paths: Sequence[Path], *, align: str = "stamps", partial: bool = False) -> RecordedTracks:
     """Read modules, numbered from 0 in the order of the folders, each with the name it gave itself.
 
     align: as of ``read_movella_dot``. Raises ``FormatError``.
@@ -52,7 +52,7 @@ def read_ximu3(paths: Sequence[Path], *, align: str = "stamps", partial: bool = 
     modules, fused = stamped_tracks(labels, tables, align)
     rate_hz = rate_of(np.array([usual_interval(np.diff(times)) for times, _ in tables]), folders[0])
     begun_ns = _begun_ns(folders[0])
-    return Recording(
+    return RecordedTracks(
         "ximu3", rate_hz, tuple(modules), fused=tuple(fused), begun_utc_ns=begun_ns, notes=tuple(notes)
     )
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording, track_of
+from devices.emulators.recordings import FusedTrack, ModuleTrack, RecordedTracks, track_of
 from devices.vendor_formats.gaps import IntArray, checked_rate, in_order, spread, unwrapped
 from devices.vendor_formats.labels import labels_of, refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
@@ -49,7 +49,7 @@ class MtFile:
 
 def read_xsens_text(
     paths: Sequence[Path], rate_hz: float | None = None, *, partial: bool = False
-) -> Recording:
+) -> RecordedTracks:
     """Read modules, numbered from 0 in the order of the files, on one time by their packet counters.
 
     rate_hz: for files that do not have theirs. partial: take the rows before a bad one. Raises
@@ -74,7 +74,7 @@ def read_xsens_text(
         times, rows = spread(index, (start + index) / rate, file.readings, file.path)
         add_tracks(module, label, times, rows, modules, fused)
     notes = tuple(file.note for file in files if file.note)
-    return Recording("xsens", rate, tuple(modules), fused=tuple(fused), notes=notes)
+    return RecordedTracks("xsens", rate, tuple(modules), fused=tuple(fused), notes=notes)
 
 
 def add_tracks(

@@ -32,7 +32,7 @@ from devices.emulators.gnss_receiver import FORMATS, GnssEmulation, gnss_traffic
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.motions import BodyMotion
 from devices.emulators.recording_formats import READERS
-from devices.emulators.recordings import Recording, play
+from devices.emulators.recordings import RecordedTracks, play
 from devices.emulators.sampling import FUSED, RAW, TRIGGERED
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import (
@@ -426,7 +426,7 @@ def _motion(wanted: Emulation, suit: WornSuit) -> BodyMotion:
     return (tumble if wanted.tumbling else move_about)(body, suit.skeleton.name, wanted.seed)
 
 
-def _read(path: Path, kind: str) -> Recording:
+def _read(path: Path, kind: str) -> RecordedTracks:
     if kind not in READERS:
         raise GatewayError(f"--format {kind or 'is missing'}: unknown{nearest(kind, READERS)}")
     try:

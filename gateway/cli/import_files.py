@@ -22,7 +22,7 @@ from gateway.settings import GatewaySettings, check_method
 from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:
-    from devices.emulators.recordings import Recording
+    from devices.emulators.recordings import RecordedTracks
 
 
 FormatName = StrEnum("FormatName", {name: name for name in ("auto", *FORMATS)})  # type: ignore[misc]  # from the list
@@ -123,7 +123,7 @@ def import_files(
 
 
 def _suit(
-    recording: Recording, name: str, maps: Mapping[str, str], wanted: Import
+    recording: RecordedTracks, name: str, maps: Mapping[str, str], wanted: Import
 ) -> tuple[WornSuit, list[str]]:
     """Return the suit, and what the user should know of it. maps: module to segment."""
     from gateway.body.body_file import load_body
@@ -149,7 +149,7 @@ def _suit(
 
 
 def _aligned(
-    recording: Recording, suit: WornSuit, settings: GatewaySettings, neutral: str, forward: str | None
+    recording: RecordedTracks, suit: WornSuit, settings: GatewaySettings, neutral: str, forward: str | None
 ) -> WornSuit:
     from gateway.imports.suits import aligned
     from gateway.imports.writing import solved

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from devices.deferred import CubicSpline, Rotation
-from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
+from devices.emulators.recordings import ModuleTrack, RecordedTracks, ReferenceTrack
 from gateway.emulation.recordings import reference_at
 from gateway.frames import FloatArray
 from gateway.geometry.comparison import orientation_error, rmse_deg
@@ -36,7 +36,7 @@ class _Turns(NamedTuple):
     """Of the summed rates, (3,) rad against s."""
 
 
-def in_time(recording: Recording, from_s: float = 0.0) -> tuple[Recording, float]:
+def in_time(recording: RecordedTracks, from_s: float = 0.0) -> tuple[RecordedTracks, float]:
     """Return the recording with its references moved in time onto its modules, and by how much later they
     were, s.
 
@@ -75,7 +75,7 @@ def _disagreement(turns: _Turns, lag_s: float) -> float:
     return float(np.mean(np.minimum(difference**2, LARGEST_DISAGREEMENT**2)))
 
 
-def gyroscope_disagreement(recording: Recording, from_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
+def gyroscope_disagreement(recording: RecordedTracks, from_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """Return the RMSE of gyroscopes alone, two seconds at a time, °: total and tilt by segment, (S,) each.
 
     The gyroscopes begin every window with the constant turn that suits it best and have one bias and one

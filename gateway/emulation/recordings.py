@@ -17,7 +17,7 @@ import numpy as np
 
 from devices.deferred import Rotation
 from devices.emulators.recording_formats import METAL_TABLE_S
-from devices.emulators.recordings import Recording, ReferenceTrack, play
+from devices.emulators.recordings import RecordedTracks, ReferenceTrack, play
 from devices.link import Chunk, Framing
 from gateway.agreement.world_alignment import align_world, aligned
 from gateway.body.rig import load_rig
@@ -50,19 +50,19 @@ class _Recorder:
         self.imu_frames.append(observation)
 
 
-def imu_frames(recording: Recording, suit: WornSuit) -> list[ImuFrame]:
+def imu_frames(recording: RecordedTracks, suit: WornSuit) -> list[ImuFrame]:
     """Assembled frames, to be given to several reconstructors."""
     recorder = _Recorder()
     _play(recording, suit, recorder)
     return recorder.imu_frames
 
 
-def solve(recording: Recording, suit: WornSuit, reconstructor: str) -> list[SkeletonFrame]:
+def solve(recording: RecordedTracks, suit: WornSuit, reconstructor: str) -> list[SkeletonFrame]:
     """Skeleton frames at the recording's sampling rate; its modules' clocks are taken as one."""
     return _play(recording, suit, create_reconstructor(reconstructor, suit, 1.0 / recording.sampling_rate_hz))
 
 
-def _play(recording: Recording, suit: WornSuit, reconstructor: Any) -> list[SkeletonFrame]:
+def _play(recording: RecordedTracks, suit: WornSuit, reconstructor: Any) -> list[SkeletonFrame]:
     params = AssemblyParams(1e9 / recording.sampling_rate_hz, 5 * 10**9, 10**8, 5 * 10**9)
     pipeline = Pipeline(suit, params, "independent", ClockMode.SHARED)
     pipeline.module_stage.reconstructor = reconstructor
@@ -108,7 +108,7 @@ class Score(NamedTuple):
 def score(
     times_s: FloatArray,
     q_wb: FloatArray,
-    recording: Recording,
+    recording: RecordedTracks,
     from_s: float = 0.0,
     sigma: FloatArray | None = None,
 ) -> Score:
@@ -164,7 +164,7 @@ class Part(NamedTuple):
     shakes: float = 0.0  # m/s²
 
 
-def totals(recording: Recording, frames: list[ImuFrame], part: Part) -> tuple[float, float]:
+def totals(recording: RecordedTracks, frames: list[ImuFrame], part: Part) -> tuple[float, float]:
     """Return the mean error of the segments, °: VQF's and ours; ``frames`` are of the whole recording."""
     begun_s = max(float(track.times[0]) for track in recording.modules)
     taken = _cut(frames, part)
@@ -189,7 +189,7 @@ def _cut(frames: list[ImuFrame], part: Part) -> list[ImuFrame]:
 
 
 def _total(
-    method: str, frames: list[ImuFrame], begins_s: float, from_s: float, recording: Recording
+    method: str, frames: list[ImuFrame], begins_s: float, from_s: float, recording: RecordedTracks
 ) -> float:
     interval_s = (frames[1].time_ns - frames[0].time_ns) * 1e-9
     times_s, q_wb = orientations(solved(method, load_rig("chain_5"), interval_s, frames), begins_s)

@@ -18,7 +18,7 @@ from gateway.imports.segment_names import BODY
 from gateway.support.settings_files import load_settings
 
 if TYPE_CHECKING:
-    from devices.emulators.recordings import ModuleTrack, Recording
+    from devices.emulators.recordings import ModuleTrack, RecordedTracks
 
 _read_movella_dot = Deferred("devices.vendor_formats.movella_dot", "read_movella_dot")
 _read_ximu3 = Deferred("devices.vendor_formats.ximu3", "read_ximu3")
@@ -47,12 +47,12 @@ class Format:
     """How files of a format become a recording."""
 
     meaning: str
-    read: Callable[[Sequence[Path], ReadOptions], Recording]
+    read: Callable[[Sequence[Path], ReadOptions], RecordedTracks]
     axes: Literal["modules", "mvnx", "segments"] = "modules"
     """What has the orientations: modules that sit somehow on segments, segments in MVN's axes, or in ours."""
 
 
-def _read_mvnx(paths: Sequence[Path], options: ReadOptions) -> Recording:
+def _read_mvnx(paths: Sequence[Path], options: ReadOptions) -> RecordedTracks:
     from devices.vendor_formats.mvnx import read_mvnx  # noqa: PLC0415 - as all readers: the list needs none
 
     if len(paths) > 1:
@@ -60,7 +60,7 @@ def _read_mvnx(paths: Sequence[Path], options: ReadOptions) -> Recording:
     return read_mvnx(paths[0], partial=options.partial)
 
 
-def _read_bvh(paths: Sequence[Path], options: ReadOptions) -> Recording:
+def _read_bvh(paths: Sequence[Path], options: ReadOptions) -> RecordedTracks:
     from devices.vendor_formats.bvh import read_bvh  # noqa: PLC0415
 
     if len(paths) > 1:
@@ -75,7 +75,7 @@ def _read_bvh(paths: Sequence[Path], options: ReadOptions) -> Recording:
     return read_bvh(paths[0], leg_m, options.maps, partial=options.partial)
 
 
-def _read_csv(paths: Sequence[Path], options: ReadOptions) -> Recording:
+def _read_csv(paths: Sequence[Path], options: ReadOptions) -> RecordedTracks:
     from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv  # noqa: PLC0415
 
     if options.columns is None:
@@ -111,7 +111,7 @@ FORMATS: dict[str, Format] = {
 """By name on the command line."""
 
 
-def read(paths: Sequence[Path], name: str, options: ReadOptions) -> Recording:
+def read(paths: Sequence[Path], name: str, options: ReadOptions) -> RecordedTracks:
     """Return the recording in files of a format, without stuck magnetometers; a note names them.
 
     Raises ``FormatError`` and ``GatewayError``.

@@ -9,7 +9,7 @@ from itertools import groupby
 from pathlib import Path
 
 from devices import recording_format as fmt
-from devices.emulators.recordings import Recording, play
+from devices.emulators.recordings import RecordedTracks, play
 from devices.link import Chunk, Framing
 from devices.recording_writer import DerivedRecordingWriter, RecordingWriter
 from gateway.body.skeleton import WornSuit
@@ -45,7 +45,7 @@ class Imported:
     seconds: float
 
 
-def settings_of(recording: Recording, rig: str, reconstructor: str | None = None) -> GatewaySettings:
+def settings_of(recording: RecordedTracks, rig: str, reconstructor: str | None = None) -> GatewaySettings:
     """Return a configuration for it: one clock, frames as often as samples.
 
     reconstructor: None for the modules' own orientations where there are no angular rates to fuse.
@@ -63,21 +63,21 @@ def settings_of(recording: Recording, rig: str, reconstructor: str | None = None
     )
 
 
-def chunks_of(recording: Recording) -> Iterator[Chunk]:
+def chunks_of(recording: RecordedTracks) -> Iterator[Chunk]:
     """Yield what a link would have given: the packets of one instant together, at that instant."""
     begun_ns = recording.begun_utc_ns or _FIRST_NS
     for time_s, sent in groupby(play(recording), key=lambda each: each.time_s):
         yield Chunk(b"".join(each.data for each in sent), begun_ns + round(time_s * 1e9), LINK)
 
 
-def solved(recording: Recording, suit: WornSuit, settings: GatewaySettings) -> SkeletonArrays | None:
+def solved(recording: RecordedTracks, suit: WornSuit, settings: GatewaySettings) -> SkeletonArrays | None:
     """Return its poses, without writing anything; None when there are none."""
     frames = _pipeline(settings, suit).replay(chunks_of(recording))
     return arrays_of(frames, suit.skeleton)
 
 
 def write_imported(
-    recording: Recording,
+    recording: RecordedTracks,
     suit: WornSuit,
     settings: GatewaySettings,
     sources: list[Path],

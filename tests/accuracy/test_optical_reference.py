@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
+from devices.emulators.recordings import ModuleTrack, RecordedTracks, ReferenceTrack
 from gateway.emulation.optical_reference import gyroscope_disagreement, in_time
 
 
@@ -24,7 +24,7 @@ def recording(lag_s, n_modules=2, rate_hz=100.0, jump_rad=0.0):
     q = q * Rotation.from_rotvec(jump[:, None] * np.array([1.0, 0.0, 0.0]))
     nothing = np.full((len(times), 3), np.nan)
     names = [f"segment_{i}" for i in range(n_modules)]
-    return Recording(
+    return RecordedTracks(
         "tumbling",
         rate_hz,
         tuple(ModuleTrack(i, name, times, nothing, rate, nothing) for i, name in enumerate(names)),

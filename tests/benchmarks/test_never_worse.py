@@ -17,7 +17,7 @@ from benchmarks.never_worse.objective import score
 from benchmarks.never_worse.recordings import FAMILIES, backward, part
 from benchmarks.never_worse.report import report
 from benchmarks.never_worse.solving import Solution, live
-from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
+from devices.emulators.recordings import ModuleTrack, RecordedTracks, ReferenceTrack
 from gateway.frames import Status
 from gateway.geometry.comparison import orientation_error
 
@@ -213,7 +213,7 @@ def test_a_recording_backward_turns_as_its_reference_does():
     forces = np.tile([0.0, 0.0, 9.81], (len(times), 1))
     module = ModuleTrack(1, "module", times, forces, rate, np.full_like(rate, np.nan))
     reference = ReferenceTrack("module", times, q.as_quat(scalar_first=True))
-    recording = part(backward(Recording("r", 100.0, (module,), (reference,))), 1.0, 3.0)
+    recording = part(backward(RecordedTracks("r", 100.0, (module,), (reference,))), 1.0, 3.0)
     (track,), (truth,) = recording.modules, recording.references
     at = np.searchsorted(truth.times, track.times[5] - 1e-6)
     pair = Rotation.from_quat(truth.q_wb[at : at + 2], scalar_first=True)

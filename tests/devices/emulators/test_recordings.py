@@ -19,7 +19,7 @@ from devices.emulators.recording_formats import (
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import CLOCK_START_US, LocalTrack, ModuleTrack, Recording, play
+from devices.emulators.recordings import CLOCK_START_US, LocalTrack, ModuleTrack, RecordedTracks, play
 from devices.emulators.transports import MemoryTransport
 from devices.link import Framing
 from firmware_protocol import (
@@ -49,7 +49,7 @@ def recording():
     lost[[7, 8, 30]] = np.nan
     position = rng.normal(size=(20, 3))
     position[4] = np.nan
-    return Recording(
+    return RecordedTracks(
         "made",
         40.0,
         (
@@ -111,7 +111,7 @@ def test_playing_is_in_order_deterministic_and_the_same_over_can(recording):
 
 def test_counters_wrap_in_a_long_recording(recording):
     late = dataclasses.replace(recording.modules[0], times=recording.modules[0].times + 4293.5)
-    samples = by_module(decode(play(Recording("late", 40.0, (late,)))), InertialSampleFine)[5]
+    samples = by_module(decode(play(RecordedTracks("late", 40.0, (late,)))), InertialSampleFine)[5]
     stamps = [s.module_time_us for s in samples]
     assert max(stamps) > 2**32 - 25_000
     assert min(stamps) < 25_000

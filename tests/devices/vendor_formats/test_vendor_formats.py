@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from devices.emulators.recordings import Recording, play
+from devices.emulators.recordings import RecordedTracks, play
 from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
 from devices.vendor_formats.movella_dot import read_movella_dot
 from devices.vendor_formats.mvnx import read_mvnx
@@ -276,7 +276,7 @@ def test_whatever_is_cut_or_changed_gives_a_recording_or_one_clear_line(tmp_path
     except FormatError as error:
         assert "\n" not in str(error)  # noqa: PT017 - either outcome is right
     else:
-        assert isinstance(recording, Recording)
+        assert isinstance(recording, RecordedTracks)
         assert list(play(recording))
 
 
