@@ -364,7 +364,7 @@ def _fits(record: bytes) -> bool:
     return is_whole or n_word != len(b"zstd")
 
 
-def plain_json(data: str | bytes) -> Any:
+def parse_json(data: str | bytes) -> Any:
     """Return JSON from an untrusted file. Raises ``ValueError`` for what is none, or is nested too deeply."""
     try:
         found = json.loads(data)
@@ -417,6 +417,6 @@ def _following(file: RecordingFile) -> list[RecordingFile]:
 
 def _links(path: Path, session: Mapping[str, str]) -> dict[str, str]:
     try:
-        return {str(name): str(content) for name, content in plain_json(session["links"]).items()}
+        return {str(name): str(content) for name, content in parse_json(session["links"]).items()}
     except (KeyError, ValueError, AttributeError) as error:
         raise RecordingError(f"{path}: the record '{fmt.SESSION}' is damaged ({error})") from error

@@ -23,7 +23,7 @@ from devices.link import (
     content_of,
     gateway_time_ns,
 )
-from devices.recording_file import RecordingParts, plain_json
+from devices.recording_file import RecordingParts, parse_json
 
 _log = logging.getLogger(__name__)
 
@@ -198,7 +198,7 @@ def framings_of(link: Link) -> dict[str, Framing]:
 def event_of(message: bytes) -> InputEvent | None:
     """Return the event that a message on ``recording_format.EVENTS`` holds; None for a damaged one."""
     try:
-        plain = plain_json(message)
+        plain = parse_json(message)
         return InputEvent(str(plain["name"]), dict(plain["data"]), int(plain["time_ns"]))
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None

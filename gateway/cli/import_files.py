@@ -129,7 +129,7 @@ def _suit(
     from gateway.body.body_file import load_body
     from gateway.body.rig import load_rig
     from gateway.imports.segment_names import mapped_segments
-    from gateway.imports.suits import Worn, dressed
+    from gateway.imports.suits import dressed
 
     # A rig names its modules itself; only without one the modules' own names are used.
     if wanted.rig is not None:
@@ -141,11 +141,11 @@ def _suit(
             f"no module says by its name where it sits ({', '.join(recording.names.values())}): tell with "
             f"--map '{next(iter(recording.names.values()))}={segments[0]}' (segments: {', '.join(segments)})"
         )
-    worn = Worn(found.segments, recording.local)
     notes = list(found.notes)
     if found.unknown:
         notes.append(f"on no segment of the body, so kept but not used: {', '.join(found.unknown)}")
-    return dressed(worn, wanted.body, mvn_axes=FORMATS[name].axes == "mvnx"), notes
+    suit = dressed(found.segments, recording.local, wanted.body, mvn_axes=FORMATS[name].axes == "mvnx")
+    return suit, notes
 
 
 def _aligned(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,34 +23,28 @@ _DIP_DEG = 65.0
 _FIELD_UT = 50.0
 
 
-@dataclass(frozen=True)
-class Worn:
-    """Which modules sit where."""
-
-    segments: Mapping[int, str]
-    """Module id to segment."""
-    local: tuple[LocalTrack, ...] = ()
-
-
-def dressed(worn: Worn, body: str | None = None, *, whole: bool = False, mvn_axes: bool = False) -> WornSuit:
+def dressed(
+    segments: Mapping[int, str],
+    local: Sequence[LocalTrack] = (),
+    body: str | None = None,
+    *,
+    mvn_axes: bool = False,
+) -> WornSuit:
     """Return the suit of a recording.
 
-    body: name or file; None: a person. whole: keep segments that nothing is worn on. mvn_axes: modules are
-    segments in the axes of MVN (x forward, y left, z up) instead of modules of which nothing is known.
+    segments: by module id. body: name or file; None: a person. mvn_axes: modules are segments in the axes of
+    MVN (x forward, y left, z up) instead of modules of which nothing is known.
     """
     skeleton = load_body(body or BODY)
-    if not whole:
-        skeleton = reduced(skeleton, [skeleton.index(name) for name in worn.segments.values()])
-    n, ids = skeleton.n_segments, tuple(worn.segments)
+    skeleton = reduced(skeleton, [skeleton.index(name) for name in segments.values()])
+    n, ids = skeleton.n_segments, tuple(segments)
     rows = np.full(n, -1, dtype=np.int64)
-    for row, segment in enumerate(worn.segments.values()):
+    for row, segment in enumerate(segments.values()):
         rows[skeleton.index(segment)] = row
     alignment = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     if mvn_axes:
         alignment[rows >= 0] = quaternion.conjugate(skeleton.neutral)
-    devices = tuple(
-        LocalDevice(Quantity(track.quantity), 0, np.zeros(3), track.module) for track in worn.local
-    )
+    devices = tuple(LocalDevice(Quantity(track.quantity), 0, np.zeros(3), track.module) for track in local)
     return WornSuit(
         skeleton=skeleton,
         module_ids=ids,

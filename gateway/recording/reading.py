@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 from devices import recording_format as fmt
 from devices.link import Chunk, InputEvent, LinkItem, SentChunk
-from devices.recording_file import RecordedMessage, RecordingError, RecordingParts, plain_json
+from devices.recording_file import RecordedMessage, RecordingError, RecordingParts, parse_json
 from devices.replay_link import event_of
 from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.errors import SettingsError
@@ -99,7 +99,7 @@ class RecordingMeta:
         Settings of another version that this one does not know are left out, with a warning.
         """
         try:
-            plain = plain_json(self._attachment(fmt.SETTINGS))
+            plain = parse_json(self._attachment(fmt.SETTINGS))
             _take_delay_out_of_name(plain)
             _take_out_receivers(plain)
             unknown = _take_out_unknown(plain)
@@ -138,7 +138,7 @@ class RecordingMeta:
     def host(self) -> dict[str, Any]:
         """Versions, kernel and processor of the machine that recorded; nothing where that is damaged."""
         try:
-            host = plain_json(self.attachments.get(fmt.HOST, b"{}"))
+            host = parse_json(self.attachments.get(fmt.HOST, b"{}"))
         except ValueError:
             return {}
         return host if isinstance(host, dict) else {}
@@ -315,7 +315,7 @@ def decode_message(message: RecordedMessage) -> RecordedItem | None:
 
 
 def _statistics(message: RecordedMessage) -> RecordedItem:
-    return RecordedStatistics(message.time_ns, dict(plain_json(message.data)))
+    return RecordedStatistics(message.time_ns, dict(parse_json(message.data)))
 
 
 _DECODERS: dict[str, Callable[[RecordedMessage], RecordedItem]] = {

@@ -21,7 +21,7 @@ from devices.recording_file import (
     RecordingFile,
     chunk_records,
     most_records,
-    plain_json,
+    parse_json,
 )
 from firmware_protocol import RELAY
 from gateway.errors import GatewayError
@@ -172,7 +172,7 @@ def _by_reading(file: RecordingFile, figures: _Figures) -> None:
 def _plain(data: bytes) -> dict[str, Any]:
     """Return the object in a message; empty for what is none."""
     try:
-        found = plain_json(data)
+        found = parse_json(data)
     except ValueError:
         return {}
     return found if isinstance(found, dict) else {}

@@ -10,7 +10,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from typer.testing import CliRunner
 
 from devices import recording_format as fmt
-from devices.recording_file import LARGEST_CHUNK, MOST_RECORDS_BEFORE, RecordingFile, plain_json
+from devices.recording_file import LARGEST_CHUNK, MOST_RECORDS_BEFORE, RecordingFile, parse_json
 from gateway.cli.main import app
 
 SESSION = {"format": "1", "session": "s", "links": '{"suit": "byte_stream"}', "part": "1", "name": "bad"}
@@ -141,6 +141,6 @@ def test_names_in_a_recording_are_neither_obeyed_nor_markup(tmp_path):
 
 @pytest.mark.parametrize("levels", [41, 990, 100_000])
 def test_json_has_a_depth(levels):
-    assert plain_json("[" * 40 + "]" * 40) is not None
+    assert parse_json("[" * 40 + "]" * 40) is not None
     with pytest.raises(ValueError, match=r"40 levels"):
-        plain_json("[" * levels + "]" * levels)
+        parse_json("[" * levels + "]" * levels)
