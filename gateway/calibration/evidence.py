@@ -18,6 +18,7 @@ Span = tuple[int, int]
 
 _BRIDGED = 4  # intervals: a longer gap counts as not heard
 _FEWEST = 0.8  # share of instants at which a module must have been heard
+_AVERAGED = 15  # instants, of a field strength
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +160,8 @@ def field_heading(
     )
 
 
-def _running(values: FloatArray, n: int = 15) -> FloatArray:
-    n = min(n, len(values))
+def _running(values: FloatArray) -> FloatArray:
+    """Return means over ``_AVERAGED`` successive values, or all where there are fewer."""
+    n = min(_AVERAGED, len(values))
     mean: FloatArray = np.convolve(values, np.full(n, 1.0 / n), "valid")
     return mean

@@ -94,7 +94,7 @@ def history(rig: Path) -> list[Path]:
     return sorted((path for path in folder.iterdir() if pattern.match(path.name)), reverse=True)
 
 
-def restore(rig: Path, version: str | None = None, now: datetime | None = None) -> Path:
+def restore(rig: Path, version: str | None = None) -> Path:
     """Put an earlier version back, the newest one or the one named; what is there now is kept too.
 
     Which one it was. Raises ``GatewayError`` when there is none.
@@ -106,7 +106,7 @@ def restore(rig: Path, version: str | None = None, now: datetime | None = None) 
         wanted = "no earlier version" if version is None else f"no version '{version}'"
         raise GatewayError(f"{rig} has {wanted} in {history_folder(rig).name}/ (there: {there})")
     content = chosen[0].read_bytes()
-    keep(rig, now or datetime.now(UTC))
+    keep(rig, datetime.now(UTC))
     with writing(rig):
         write_whole(rig, content)
     return chosen[0]

@@ -23,7 +23,7 @@ _USUAL = "compiling the reconstruction once, for up to a minute; later starts fi
 
 
 @contextlib.contextmanager
-def report_compiling(show: Callable[[str], object], line: str = _USUAL) -> Iterator[None]:
+def report_compiling(show: Callable[[str], object]) -> Iterator[None]:
     """Print a line when the first kernel is compiled during the work, and one at the end.
 
     Nothing is said when all of them come from the cache. Numba is imported: for where it is needed anyway.
@@ -36,7 +36,7 @@ def report_compiling(show: Callable[[str], object], line: str = _USUAL) -> Itera
         def on_start(self, event: Any) -> None:
             if self.begun_s is None:
                 self.begun_s = time.monotonic()
-                show(line)
+                show(_USUAL)
 
         def on_end(self, event: Any) -> None:
             """The end of one kernel, of many."""

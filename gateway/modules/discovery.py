@@ -54,22 +54,18 @@ def by_link(found: Sequence[Announced]) -> list[list[Announced]]:
     return list(links.values())
 
 
-def link_line(announced: Announced, *others: Announced, module: int | str = "NUMBER") -> str:
-    """Return the line of a configuration's ``links`` for a device, or for those that share a link.
-
-    module: number in the rig.
-    """
+def link_line(announced: Announced, *others: Announced) -> str:
+    """Return the line of a configuration's ``links`` for a device, or for those that share a link, with
+    ``NUMBER`` in the place of a module's number in the rig."""
     if announced.entry is not None:
         found_modules = [each.entry[1] for each in (announced, *others) if each.entry is not None]
-        listed = ", ".join(f'"{name}": {module}' for name in found_modules)
+        listed = ", ".join(f'"{name}": NUMBER' for name in found_modules)
         head = f'name: {announced.name}, url: "{announced.url}", carries: {announced.carries}'
         return f"- {{{head}, {announced.entry[0]}: {{{listed}}}}}"
     # A device's name is what somebody typed: nothing of it may end the quotes around it.
     name = re.sub(r"[^\w .-]", "", announced.name).strip() or announced.unique_id
     more = "".join(f", {key}: {value}" for key, value in announced.more.items())
-    return (
-        f'- {{name: "{name}", url: "{announced.url}", carries: {announced.carries}, module: {module}{more}}}'
-    )
+    return f'- {{name: "{name}", url: "{announced.url}", carries: {announced.carries}, module: NUMBER{more}}}'
 
 
 async def _listen(link: UdpLink, discovery: Discovery, found: dict[tuple[str, str], Announced]) -> None:

@@ -181,11 +181,9 @@ class Recording:
         """Yield everything, in the order in which the gateway handled it."""
         return self._decoded("/", progress)
 
-    def chunks(self, progress: Progress | None = None) -> Iterator[Chunk]:
+    def chunks(self) -> Iterator[Chunk]:
         """Return what came over the links, not parsed."""
-        return (
-            item for item in self._decoded((fmt.CHUNKS, fmt.DATAGRAMS), progress) if isinstance(item, Chunk)
-        )
+        return (item for item in self._decoded((fmt.CHUNKS, fmt.DATAGRAMS)) if isinstance(item, Chunk))
 
     def inputs(self, progress: Progress | None = None) -> Iterator[LinkItem]:
         """Return all that a reconstruction depends on: what came over the links, what was written to them,
@@ -206,9 +204,9 @@ class Recording:
         """Yield the counters and clock models, as written at intervals."""
         return (item for item in self._decoded(fmt.STATISTICS) if isinstance(item, RecordedStatistics))
 
-    def skeleton_frames(self, progress: Progress | None = None) -> Iterator[SkeletonFrame]:
+    def skeleton_frames(self) -> Iterator[SkeletonFrame]:
         """Return the reconstruction as it was while recording."""
-        return (item for item in self._decoded(fmt.SKELETON, progress) if isinstance(item, SkeletonFrame))
+        return (item for item in self._decoded(fmt.SKELETON) if isinstance(item, SkeletonFrame))
 
     def markers(self) -> Iterator[RecordedMarkers]:
         """Return what became of the markers, of poses made from any."""

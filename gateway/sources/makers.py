@@ -360,14 +360,9 @@ def scaled(vector: Vector3, factor: float) -> Vector3:
     return factor * x, factor * y, factor * z
 
 
-def health(
-    battery_percent: int | None = None,
-    battery_voltage: float | None = None,
-    temperature_celsius: float | None = None,
-    rssi_dbm: int | None = None,
-) -> Health:
+def health(temperature_celsius: float | None = None) -> Health:
     """Return how a device fares that counts nothing of its own."""
-    return Health(battery_percent, battery_voltage, temperature_celsius, rssi_dbm, 0, 0, 0, 0, 0)
+    return Health(None, None, temperature_celsius, None, 0, 0, 0, 0, 0)
 
 
 def identity(unique_id: bytes, firmware: tuple[int, int, int] = (0, 0, 0)) -> DeviceInfo:
