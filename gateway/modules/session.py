@@ -55,7 +55,8 @@ async def suit_session(
     """
     asked = [link for link in links if source_kind(link.carries).has_modules]
     opened = {each.name: _link(each, needs_all) for each in asked}
-    context = SourceContext(suit, ModuleTable(clock_mode), links={link.name: link for link in links})
+    modules = ModuleTable(clock_mode, is_compiled=False)  # done before kernels would be compiled
+    context = SourceContext(suit, modules, links={link.name: link for link in links})
     sources = _Sources(context)
     client = CommandClient(
         # Only the gateway's own modules speak its commands; those of other makers are asked by ``makers``.
@@ -94,8 +95,7 @@ class _Sources:
 
     def __init__(self, context: SourceContext) -> None:
         self._context = context
-        self.stream = Stream(table=context.modules, is_compiled=False)
-        """Readable: done before kernels would be compiled."""
+        self.stream = Stream(context.modules)
         self._routes: dict[str, Source] = {}
         self._sources: dict[str, Source] = {SUIT: self.stream}
 

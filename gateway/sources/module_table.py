@@ -65,7 +65,7 @@ class ModuleTable:
         """Begin without modules.
 
         clock_table: rates, for mode TABLE only.
-        is_compiled: whether kernels take the usual stamps; if not, Python takes all, to the same result.
+        is_compiled: whether kernels take the usual samples; if not, Python takes all, to the same result.
         """
         self.records: dict[int, ModuleRecord] = {}
         """By module id."""
@@ -76,8 +76,8 @@ class ModuleTable:
         self._relays: dict[str, RelayBatching] = {}
         self.rows = module_rows()
         """What compiled code shares of them, by module id."""
-        self.is_followed = clock_mode not in {ClockMode.TABLE, ClockMode.SYNCHRONISED}
-        """Whether compiled code knows the clocks."""
+        self.is_followed = is_compiled and clock_mode not in {ClockMode.TABLE, ClockMode.SYNCHRONISED}
+        """Whether compiled code may take samples, and knows the clocks."""
         self._new_clock = _clock_factory(clock_mode, clock_table, is_compiled)
 
     def add_link(self, name: str) -> None:

@@ -30,7 +30,7 @@ from firmware_protocol import (
     SyncResponse,
 )
 from firmware_protocol.kinds import FROM_HOST
-from gateway.clocks import ClockTable, TriggerAnswers
+from gateway.clocks import TriggerAnswers
 from gateway.contract.balances import Balance
 from gateway.frames import (
     NOT_READ,
@@ -44,7 +44,6 @@ from gateway.frames import (
     Sample,
 )
 from gateway.sources.air_velocity import air_velocity
-from gateway.sources.clock_mode import ClockMode
 from gateway.sources.compiled_decoding import DECODERS, Entries, Follower
 from gateway.sources.exchanges import TimeExchanges
 from gateway.sources.module_rows import SHARED_KINDS
@@ -68,27 +67,19 @@ class Stream:
     observes = InertialBatch
     """And all other kinds of reading."""
 
-    def __init__(
-        self,
-        clock_mode: ClockMode = ClockMode.ESTIMATED,
-        clock_table: ClockTable | None = None,
-        triggers: TriggerAnswers | None = None,
-        table: ModuleTable | None = None,
-        is_compiled: bool = True,
-    ) -> None:
+    def __init__(self, table: ModuleTable | None = None, triggers: TriggerAnswers | None = None) -> None:
         """Begin without links.
 
+        table: shared by all sources; None: one of its own, with estimated clocks.
         triggers: matches answers to triggers in mode TRIGGER; None in any other mode.
-        table: shared by all sources; its clock mode and clock table then hold in place of those given here.
-        is_compiled: whether kernels take the usual samples; if not, Python takes all, to the same result.
         """
         self.triggers = triggers
-        self.table = table or ModuleTable(clock_mode, clock_table, is_compiled=is_compiled)
+        self.table = table or ModuleTable()
         self.modules = self.table.records
         self.echoed = 0
         """Packets of a host, ours or another one's, that came back over a bus."""
         # samples of other clocks, and answers to triggers, are all for Python
-        self._is_compiled = is_compiled and self.table.is_followed and triggers is None
+        self._is_compiled = self.table.is_followed and triggers is None
         self._readings = Readings()
         self._entries = Entries()
         self._follower = Follower(self.table, self._readings)
@@ -101,7 +92,7 @@ class Stream:
     @classmethod
     def of(cls, context: SourceContext) -> Stream:
         """Return the stream of a suit in its surroundings."""
-        return cls(triggers=context.triggers, table=context.modules)
+        return cls(context.modules, context.triggers)
 
     def add_link(self, name: str, content: str) -> None:
         """Announce a link, before its first chunk. content: its framing."""

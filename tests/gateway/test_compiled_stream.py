@@ -41,6 +41,7 @@ from gateway.emulation.both_ways import BothWays, Difference
 from gateway.sources import compiled_decoding
 from gateway.sources import stream as readable_way
 from gateway.sources.clock_mode import ClockMode
+from gateway.sources.module_table import ModuleTable
 from gateway.sources.statistics import Cause
 from gateway.sources.stream import Stream
 
@@ -54,7 +55,7 @@ def both_ways(mode=ClockMode.ESTIMATED, links=(("a", Framing.BYTE_STREAM),)):
     def make(is_compiled):
         triggers = TriggerAnswers(tuple(range(MODULES)), 40_000_000) if mode is ClockMode.TRIGGER else None
         table = TABLE if mode is ClockMode.TABLE else None
-        return Stream(mode, table, triggers, is_compiled=is_compiled)
+        return Stream(ModuleTable(mode, table, is_compiled=is_compiled), triggers)
 
     both = BothWays(make)
     for name, framing in links:
@@ -92,7 +93,7 @@ def test_golden_vectors_one_by_one_and_all_together(framing, mode):
 @pytest.mark.parametrize("framing", list(Framing))
 @pytest.mark.parametrize("mode", [ClockMode.ESTIMATED, ClockMode.SHARED])
 def test_what_was_fed_is_freed(framing, mode):
-    stream = Stream(mode)
+    stream = Stream(ModuleTable(mode))
     stream.add_link("a", framing)
     for data in vectors_of(framing):
         stream.receive(Chunk(data, START_NS, "a"))

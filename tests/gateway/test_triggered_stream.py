@@ -16,6 +16,7 @@ from firmware_protocol import (
 )
 from gateway.clocks import TriggerAnswers
 from gateway.sources.clock_mode import ClockMode
+from gateway.sources.module_table import ModuleTable
 from gateway.sources.stream import Stream
 
 MS = 1_000_000
@@ -23,7 +24,7 @@ START_NS = 1_800_000_000_000_000_000
 
 
 def new_stream(patience_ns=40 * MS):
-    stream = Stream(ClockMode.TRIGGER, triggers=TriggerAnswers((1, 2), patience_ns))
+    stream = Stream(ModuleTable(ClockMode.TRIGGER), TriggerAnswers((1, 2), patience_ns))
     for link in ("a", "b"):
         stream.add_link(link, Framing.BYTE_STREAM)
     return stream
