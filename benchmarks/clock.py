@@ -39,7 +39,7 @@ from gateway.frames import FloatArray, InertialBatch
 from gateway.sources.arrival_counter import ArrivalCounter
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.module_table import ModuleTable
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 SEED = 4
 MODULES = 17
@@ -280,7 +280,7 @@ def by_trigger() -> tuple[Errors, TriggerTimer, TriggerAnswers]:
     """
     rng = np.random.default_rng(SEED)
     timer, answers = TriggerTimer(1e9), TriggerAnswers(range(MODULES), patience_ns=100_000_000)
-    stream = Stream(ModuleTable(ClockMode.TRIGGER), answers)
+    stream = SuitSource(ModuleTable(ClockMode.TRIGGER), answers)
     stream.add_link("radio", Framing.BYTE_STREAM)
     sample = InertialSample(angular_rate=(0.0, 0.0, 0.0), triggered=True)
     shown = []

@@ -13,7 +13,7 @@ from firmware_protocol.signing import KEY_SIZE, SignedFrames
 from gateway.emulation.simulation import LINK, relay_chunks, suit_17
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.module_table import ModuleTable
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 REPEATS = 120
 SECONDS = 1.0
@@ -58,7 +58,7 @@ def _packets(chunks: list[Chunk], read: Read) -> int:
 
 
 def _readings(chunks: list[Chunk], read: Read) -> int:
-    stream = Stream(ModuleTable(ClockMode.SHARED))
+    stream = SuitSource(ModuleTable(ClockMode.SHARED))
     stream.add_link(LINK, Framing.BYTE_STREAM)
     for chunk in chunks:
         stream.receive(replace(chunk, data=read(chunk.data)))

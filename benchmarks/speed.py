@@ -20,7 +20,7 @@ from gateway.pipeline import FRAMES_AT_A_TIME, Pipeline
 from gateway.reconstruction import RECONSTRUCTORS, Reconstructor, update_many
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.module_table import ModuleTable
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 from gateway.stages.frame_assembler import AssemblyParams, FrameAssembler
 
 PARAMS = AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000)
@@ -185,7 +185,7 @@ def _best_in_turn(*works: Callable[[], int]) -> list[float]:
 
 
 def _imu_frames(module_ids: tuple[int, ...], chunks: list[Chunk]) -> list[ImuFrame]:
-    stream, assembler = Stream(ModuleTable(ClockMode.SHARED)), FrameAssembler(module_ids, PARAMS)
+    stream, assembler = SuitSource(ModuleTable(ClockMode.SHARED)), FrameAssembler(module_ids, PARAMS)
     stream.add_link(LINK, Framing.BYTE_STREAM)
     frames: list[ImuFrame] = []
     for chunk in chunks:

@@ -24,7 +24,7 @@ from firmware_protocol import (
 from gateway.body.skeleton import WornSuit
 from gateway.pipeline import Pipeline
 from gateway.sources.module_table import ModuleTable
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 from gateway.stages.frame_assembler import AssemblyParams
 
 REPEATS = 5
@@ -88,7 +88,7 @@ def _stream_s(
     chunks: Sequence[Chunk], framing: Framing = Framing.BYTE_STREAM, *, is_compiled: bool = True
 ) -> tuple[float, int]:
     """Return processor time and samples, once clocks are known."""
-    stream = Stream(ModuleTable(is_compiled=is_compiled))
+    stream = SuitSource(ModuleTable(is_compiled=is_compiled))
     stream.add_link(_LINK, framing)
     first = int(OPENING * len(chunks))
     for chunk in chunks[:first]:

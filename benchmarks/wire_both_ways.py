@@ -24,7 +24,7 @@ from devices.link import Chunk, Framing
 from gateway.emulation.both_ways import BothWays, Difference
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.module_table import ModuleTable
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 START_NS = 1_800_000_000_000_000_000
 _LINK = "suit"
@@ -56,7 +56,7 @@ class _Lane:
     """One link: its traffic, and the two streams that take it."""
 
     def __init__(self, framing: Framing, source: ByteStream | CanBus, mode: ClockMode) -> None:
-        self.both = BothWays(lambda is_compiled: Stream(ModuleTable(mode, is_compiled=is_compiled)))
+        self.both = BothWays(lambda is_compiled: SuitSource(ModuleTable(mode, is_compiled=is_compiled)))
         self.both.add_link(_LINK, framing)
         self._source = source
         self._n_blocks = 0

@@ -34,7 +34,7 @@ from gateway.sources.link_settings import LinkSettings
 from gateway.sources.module_table import ModuleTable
 from gateway.sources.registry import carried_by, refuse_unsuited, source_kind
 from gateway.sources.source import Source, SourceContext
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 from gateway.stages.frame_assembler import AssemblyParams
 from gateway.stages.modules import ModuleStage
 from gateway.stages.registry import STAGES
@@ -99,7 +99,7 @@ class Pipeline:
         self._sources: dict[str, Source] = {}
         self._stages: dict[Callable[[StageContext], Stage[Any]], Stage[Any]] = {}
         self._routes: dict[str, tuple[Source, Stage[Any]]] = {}
-        self.stream = Stream.of(self._source_context)
+        self.stream = SuitSource.of(self._source_context)
         self._sources[SUIT] = self.stream
         self.module_stage = ModuleStage(self._stage_context)
         """The stage of modules, which is there whatever else is."""

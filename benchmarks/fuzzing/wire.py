@@ -58,7 +58,7 @@ from gateway.emulation.both_ways import BothWays
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.gnss.sentences import GnssDecoder
 from gateway.sources.module_table import ModuleTable
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 _SCRATCH = Path(tempfile.mkdtemp(prefix="mocap-fuzz-"))
 MAX_DATAGRAM = 2048
@@ -314,7 +314,7 @@ def _same_however_cut(data: bytes, frames: Callable[[], WireFrameDecoder]) -> No
 
 def _same_both_ways(framing: Framing, *chunks: bytes) -> None:
     """Kernels give what the readable way gives."""
-    both = BothWays(lambda is_compiled: Stream(ModuleTable(ClockMode.SHARED, is_compiled=is_compiled)))
+    both = BothWays(lambda is_compiled: SuitSource(ModuleTable(ClockMode.SHARED, is_compiled=is_compiled)))
     both.add_link("fuzzed", framing)
     for k, data in enumerate(chunks):
         both.receive(Chunk(data, k * 1_000_000, "fuzzed"))

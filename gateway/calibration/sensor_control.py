@@ -27,7 +27,7 @@ from gateway.contract.requests import AcceptSensorsRequest, BeginSensorsRequest,
 from gateway.errors import GatewayError
 from gateway.modules.makers import MakersModules
 from gateway.modules.operations import ModuleOperations
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 
 class SensorControl:
@@ -37,7 +37,7 @@ class SensorControl:
         self,
         suit: Callable[[], WornSuit],
         rig: KeptRig,
-        stream: Stream,
+        stream: SuitSource,
         makers: MakersModules,
         operations: ModuleOperations,
     ) -> None:

@@ -11,11 +11,11 @@ from firmware_protocol import InertialSample, InertialSampleFine, ReceivedPacket
 from gateway.calibration.sensor_session import SensorSession
 from gateway.frames import Sample
 from gateway.modules.makers import MakersModules
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 
 @contextlib.contextmanager
-def fed(session: SensorSession, stream: Stream, makers: MakersModules) -> Iterator[None]:
+def fed(session: SensorSession, stream: SuitSource, makers: MakersModules) -> Iterator[None]:
     """Feed a session with all samples meanwhile, of our modules and of other makers'."""
 
     def take(received: ReceivedPacket, chunk: Chunk) -> None:

@@ -37,7 +37,7 @@ from gateway.sources.link_settings import LinkSettings
 if TYPE_CHECKING:
     from gateway.outputs.subscriber import ReceivedPose
     from gateway.service.service import Service
-    from gateway.sources.stream import Stream
+    from gateway.sources.suit import SuitSource
 
 
 SETTLING_S = 3.0
@@ -83,7 +83,7 @@ class Truth:
         errors = orientation_error(np.array(self._q_wb)[settled], self._motion.state(times[settled]).q_wb)
         return np.stack([rmse_deg(part) for part in errors], axis=-1)
 
-    def busy_note(self, stream: Stream, expected_loss: float) -> str | None:
+    def busy_note(self, stream: SuitSource, expected_loss: float) -> str | None:
         """Return a note that this machine did not keep up with a suit in real time; None where it did.
 
         stream: of the gateway; what it never got could not be handed over in time, but for the

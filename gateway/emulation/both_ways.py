@@ -11,7 +11,7 @@ import numpy as np
 from devices.link import Chunk, SentChunk
 from firmware_protocol import Packet, ReceivedPacket
 from gateway.frames import InertialBatch, Reading
-from gateway.sources.stream import Listener, Stream
+from gateway.sources.suit import Listener, SuitSource
 
 
 class Difference(AssertionError):
@@ -21,7 +21,7 @@ class Difference(AssertionError):
 class BothWays:
     """Takes what a stream takes, and raises ``Difference`` where kernels give another result, bit for bit."""
 
-    def __init__(self, make: Callable[[bool], Stream]) -> None:
+    def __init__(self, make: Callable[[bool], SuitSource]) -> None:
         """Make two streams; ``make`` returns one with kernels for True, without for False."""
         self.compiled, self.readable = make(True), make(False)
         self._streams = self.compiled, self.readable
@@ -65,7 +65,7 @@ def _noting(packets: list[tuple[ReceivedPacket, int]]) -> Listener:
     return lambda packet, chunk: packets.append((packet, chunk.arrived_ns))
 
 
-def accounts(stream: Stream) -> dict[str, Any]:
+def accounts(stream: SuitSource) -> dict[str, Any]:
     """Return all that a stream has counted, and knows of its modules and links."""
     table = stream.table
     return {

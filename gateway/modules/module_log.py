@@ -11,7 +11,7 @@ from firmware_protocol.messages import Event, LogLine
 from gateway.body.skeleton import WornSuit
 from gateway.modules.summary import module_names
 from gateway.sources.statistics import ModuleRecord
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 _log = logging.getLogger(__name__)
 
@@ -40,7 +40,7 @@ class ModuleLog:
         self._interval: dict[int, int] = {}
         self._lines: dict[int, int] = {}
 
-    def listen_to(self, stream: Stream) -> None:
+    def listen_to(self, stream: SuitSource) -> None:
         """Log what a stream receives from now on."""
         stream.listen(Event, self.take)
         stream.listen(LogLine, self.take)
@@ -74,7 +74,7 @@ class ModuleLog:
 class UnknownModules:
     """Who of those heard is in the rig, and who is not."""
 
-    def __init__(self, stream: Stream, suit: WornSuit, unworn: Iterable[int] = ()) -> None:
+    def __init__(self, stream: SuitSource, suit: WornSuit, unworn: Iterable[int] = ()) -> None:
         """Look at nothing yet. unworn: numbers of those that may well be heard and not be in the rig."""
         self._stream, self._unworn = stream, frozenset({RELAY, *unworn})
         self.names = module_names(suit)

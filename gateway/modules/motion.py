@@ -16,7 +16,7 @@ from devices.link import Chunk, gateway_time_ns
 from firmware_protocol import InertialSample, InertialSampleFine, ReceivedPacket
 from firmware_protocol.messages import Event
 from gateway.errors import GatewayError
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 EVENTS = {1: "button", 2: "tap", 3: "double tap", 4: "shake"}
 """Events of a module that mean: this one."""
@@ -183,7 +183,7 @@ class AmbiguousMotionError(GatewayError):
 class MotionWatch:
     """A ``MotionDetector`` on a stream. What is usual is learnt from the first use on."""
 
-    def __init__(self, stream: Stream) -> None:
+    def __init__(self, stream: SuitSource) -> None:
         self._stream = stream
         self._detector = MotionDetector()
         self._end: asyncio.TimerHandle | None = None

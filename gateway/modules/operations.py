@@ -29,7 +29,7 @@ from gateway.modules.journal import Entry, Journal, JournalError
 from gateway.modules.makers import MakersModule, MakersModules, changed
 from gateway.modules.motion import MotionWatch
 from gateway.modules.summary import Counts, count_samples, segments_of, summarise
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 _log = logging.getLogger(__name__)
 
@@ -60,7 +60,7 @@ class ModuleOperations:
 
     def __init__(
         self,
-        stream: Stream,
+        stream: SuitSource,
         client: CommandClient,
         suit: WornSuit,
         journal: Journal,
@@ -95,7 +95,7 @@ class ModuleOperations:
         }
 
     @property
-    def stream(self) -> Stream:
+    def stream(self) -> SuitSource:
         """What the suit's links say."""
         return self._stream
 

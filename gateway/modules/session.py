@@ -22,7 +22,7 @@ from gateway.sources.makers import OthersLinkSettings
 from gateway.sources.module_table import ModuleTable
 from gateway.sources.registry import carried_by, source_kind
 from gateway.sources.source import Source, SourceContext
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 _LOOK_S = 0.1
 _LISTENED_S = 1.2
@@ -95,7 +95,7 @@ class _Sources:
 
     def __init__(self, context: SourceContext) -> None:
         self._context = context
-        self.stream = Stream(context.modules)
+        self.stream = SuitSource(context.modules)
         self._routes: dict[str, Source] = {}
         self._sources: dict[str, Source] = {SUIT: self.stream}
 
@@ -133,7 +133,7 @@ class _Sources:
         return routes
 
 
-def connect_client(client: CommandClient, stream: Stream) -> None:
+def connect_client(client: CommandClient, stream: SuitSource) -> None:
     """Pass what a stream receives, and from whom, on to a client."""
     client.senders = stream.senders
     for packet_class in LISTENS_TO:

@@ -20,7 +20,7 @@ from gateway.contract.messages import Message, ModuleAvailability, ModuleClockSt
 from gateway.contract.topics import MODULE_AVAILABILITY, MODULE_STATE
 from gateway.modules.makers import MakersModule
 from gateway.sources.statistics import ModuleRecord
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 from gateway.support.settings_files import Strict
 
 SAMPLE_KINDS = (
@@ -94,7 +94,7 @@ def local_devices_of(suit: WornSuit) -> dict[int, str]:
     }
 
 
-def count_samples(stream: Stream, time_ns: int) -> Counts:
+def count_samples(stream: SuitSource, time_ns: int) -> Counts:
     """Return samples received so far, by module id."""
     return Counts(
         time_ns, {module: count_module_samples(record) for module, record in stream.modules.items()}
@@ -103,7 +103,7 @@ def count_samples(stream: Stream, time_ns: int) -> Counts:
 
 def summarise(
     roster: Roster,
-    stream: Stream,
+    stream: SuitSource,
     suit: WornSuit,
     before: Counts,
     after: Counts,
@@ -253,7 +253,7 @@ class ModuleStates:
 
     def __init__(
         self,
-        stream: Stream,
+        stream: SuitSource,
         suit: WornSuit,
         *,
         silent_after_ns: int,

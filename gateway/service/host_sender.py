@@ -27,7 +27,7 @@ class HostSender:
         """Prepare to write frames.
 
         note: called with everything that was sent, at once and in order.
-        senders: returns who is to be written to on a link with several senders; see ``Stream.senders``.
+        senders: returns who is to be written to on a link with several senders; see ``SuitSource.senders``.
         """
         self._note = note
         self._senders = senders

@@ -18,7 +18,7 @@ from gateway.service.triggering import Triggerer
 from gateway.settings import GatewaySettings
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.makers import OthersLinkSettings
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 from gateway.support.processor import target_name
 
 
@@ -40,7 +40,7 @@ def unworn_modules(settings: GatewaySettings) -> set[int]:
 
 
 def periodic_senders(
-    settings: GatewaySettings, links: Sequence[Link], sender: HostSender, stream: Stream
+    settings: GatewaySettings, links: Sequence[Link], sender: HostSender, stream: SuitSource
 ) -> Iterator[Synchroniser | Triggerer]:
     """Yield what sends to all modules time and again: for their time, where clocks are estimated from it, and
     for samples, where the gateway says when to take them."""

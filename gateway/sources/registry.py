@@ -89,7 +89,7 @@ _hips: Callable[..., Source] = Deferred("gateway.sources.hips", "HipSource")
 
 
 SOURCES: dict[str, SourceKind] = {
-    SUIT: SourceKind(Deferred("gateway.sources.stream", "Stream.of"), takes_commands=True),
+    SUIT: SourceKind(Deferred("gateway.sources.suit", "SuitSource.of"), takes_commands=True),
     "gnss": SourceKind(Deferred("gateway.sources.gnss.receiver", "GnssSource"), GnssLinkSettings),
     "ximu3": SourceKind(Ximu3Source, Ximu3LinkSettings, commands=Ximu3Commands(), discovery=DISCOVERY),
     "mti": SourceKind(MtiSource, MtiLinkSettings, commands=MtiCommands()),

@@ -18,7 +18,7 @@ from devices.emulators.local_broker import free_port
 from devices.link import Chunk
 from firmware_protocol import FrameDecoder, InertialSample, PacketDecoder
 from gateway.frames import InertialBatch
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 from tests.firmware.machines import QEMU, command_of
 from tests.patience import PATIENCE_S
 
@@ -107,7 +107,7 @@ def test_two_hours_on_a_clock_that_wraps(
 ) -> None:
     rate_hz, n, rng = 100.0, 720_000, random.Random(28)
     memory = FirmwareMemory.fresh(tmp_path / "m.img", bytes(12), settings={"module_id": 1})
-    stream, errors_us = Stream(), []
+    stream, errors_us = SuitSource(), []
     stream.add_link("module", "byte_stream")
     latest = earliest = 0.0
     first = None

@@ -39,11 +39,11 @@ from gateway.clocks import ClockTable, TriggerAnswers
 from gateway.clocks.clock_rows import MOST_PACKETS
 from gateway.emulation.both_ways import BothWays, Difference
 from gateway.sources import compiled_decoding
-from gateway.sources import stream as readable_way
+from gateway.sources import suit as readable_way
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.module_table import ModuleTable
 from gateway.sources.statistics import Cause
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 START_NS = 1_800_000_000_000_000_000
 MODULES = 5
@@ -55,7 +55,7 @@ def both_ways(mode=ClockMode.ESTIMATED, links=(("a", Framing.BYTE_STREAM),)):
     def make(is_compiled):
         triggers = TriggerAnswers(tuple(range(MODULES)), 40_000_000) if mode is ClockMode.TRIGGER else None
         table = TABLE if mode is ClockMode.TABLE else None
-        return Stream(ModuleTable(mode, table, is_compiled=is_compiled), triggers)
+        return SuitSource(ModuleTable(mode, table, is_compiled=is_compiled), triggers)
 
     both = BothWays(make)
     for name, framing in links:
@@ -93,7 +93,7 @@ def test_golden_vectors_one_by_one_and_all_together(framing, mode):
 @pytest.mark.parametrize("framing", list(Framing))
 @pytest.mark.parametrize("mode", [ClockMode.ESTIMATED, ClockMode.SHARED])
 def test_what_was_fed_is_freed(framing, mode):
-    stream = Stream(ModuleTable(mode))
+    stream = SuitSource(ModuleTable(mode))
     stream.add_link("a", framing)
     for data in vectors_of(framing):
         stream.receive(Chunk(data, START_NS, "a"))
@@ -252,7 +252,7 @@ def test_streams_by_chance(mode, seed):
 @pytest.mark.parametrize("mode", [ClockMode.ESTIMATED, ClockMode.SHARED])
 def test_the_usual_samples_never_become_packets(mode, monkeypatch):
     """Else the rest of this file would compare the readable way with itself."""
-    both, taken, take = both_ways(mode), [], Stream._take
+    both, taken, take = both_ways(mode), [], SuitSource._take
 
     def noting(stream, packet, chunk):
         taken.append(stream)
@@ -260,7 +260,7 @@ def test_the_usual_samples_never_become_packets(mode, monkeypatch):
 
     for k in range(4):
         both.receive(plain_chunk(k))
-    monkeypatch.setattr(Stream, "_take", noting)
+    monkeypatch.setattr(SuitSource, "_take", noting)
     for k in range(4, 9):
         both.receive(plain_chunk(k, interval_ms=1))
     assert len(taken) == 15

@@ -11,7 +11,7 @@ from gateway.contract.balances import unaccounted
 from gateway.frames import LightReading, LocalReading, Quantity
 from gateway.pipeline import Pipeline
 from gateway.service.accounting import balances_of
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 from gateway.stages.frame_assembler import AssemblyParams
 
 LINK = "suit"
@@ -25,7 +25,7 @@ def chunk(packet, module, sequence=0):
 
 
 def test_readings_are_in_si_units_and_have_the_modules_time():
-    stream = Stream()
+    stream = SuitSource()
     stream.add_link(LINK, Framing.BYTE_STREAM)
     (light,), (air,) = stream.receive(chunk(LIGHT, 3)), stream.receive(chunk(AIR, 61))
     assert isinstance(light, LightReading)

@@ -13,7 +13,7 @@ SLOW_PACKAGES = (
     *("numba", "scipy", "numpy", "pydantic", "aiomqtt", "amqtt", "asyncio", "importlib.metadata"),
     *("scipy.optimize", "scipy.spatial", "scipy.signal", "devices.emulators", "gateway.settings"),
     *("llvmlite", "vqf", "matplotlib", "cv2", "pyarrow", "viser", "mujoco"),
-    *("gateway.pipeline", "gateway.service.service", "gateway.sources.stream", "gateway.outputs.connection"),
+    *("gateway.pipeline", "gateway.service.service", "gateway.sources.suit", "gateway.outputs.connection"),
     *("gateway.reconstruction.whole_body", "gateway.reconstruction.inertial", "gateway.recording.solving"),
 )
 SOLVERS = {"numba", "llvmlite", "scipy.spatial", "scipy.optimize", "scipy.signal", "vqf"}

@@ -19,7 +19,7 @@ from firmware_protocol.messages import (
 )
 from firmware_protocol.samples import FusedSample, LightSample, PassThrough, PressureSample
 from gateway.modules.module_log import MOST_LINES, ModuleLog
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 MODULE = 3
 FROM_MODULES = [
@@ -36,7 +36,7 @@ FROM_HOST = [SyncRequest(1, 2), SamplingTrigger(5), Command(1, 2)]
 
 
 def stream_and_chunk(*packets, module=MODULE, arrived_ns=10**18):
-    stream = Stream()
+    stream = SuitSource()
     stream.add_link("suit", Framing.BYTE_STREAM)
     data = b"".join(encode_frame(wire_frame(packet, module, 0, 1000)) for packet in packets)
     return stream, Chunk(data, arrived_ns, "suit")

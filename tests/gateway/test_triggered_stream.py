@@ -17,14 +17,14 @@ from firmware_protocol import (
 from gateway.clocks import TriggerAnswers
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.module_table import ModuleTable
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 MS = 1_000_000
 START_NS = 1_800_000_000_000_000_000
 
 
 def new_stream(patience_ns=40 * MS):
-    stream = Stream(ModuleTable(ClockMode.TRIGGER), TriggerAnswers((1, 2), patience_ns))
+    stream = SuitSource(ModuleTable(ClockMode.TRIGGER), TriggerAnswers((1, 2), patience_ns))
     for link in ("a", "b"):
         stream.add_link(link, Framing.BYTE_STREAM)
     return stream

@@ -17,7 +17,7 @@ from gateway.service.host_sender import HostSender
 from gateway.service.triggering import Triggerer
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.module_table import ModuleTable
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 from gateway.support.precise_alarm import PreciseAlarm
 from tests.patience import PATIENCE_S
 
@@ -79,7 +79,7 @@ async def test_an_alarm_goes_off_in_time_and_one_gone_by_at_once():
 
 async def test_a_link_that_hangs_keeps_no_other_from_its_triggers(caplog, until):
     answers = TriggerAnswers((1,), 100 * MS)
-    stream = Stream(ModuleTable(ClockMode.TRIGGER), answers)
+    stream = SuitSource(ModuleTable(ClockMode.TRIGGER), answers)
     good, stuck = FakeLink("good"), FakeLink("stuck", delay_s=2 * PATIENCE_S)
     for link in (good, stuck):
         stream.add_link(link.name, link.framing)

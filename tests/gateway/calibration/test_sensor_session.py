@@ -28,7 +28,7 @@ from gateway.frames import (
     InertialBatch,
 )
 from gateway.pipeline import Pipeline
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 from gateway.stages.frame_assembler import AssemblyParams
 from gateway.support.settings_files import find_file
 
@@ -47,7 +47,7 @@ def traffic(suit, seconds):
 @pytest.fixture(scope="module")
 def session():
     suit = load_rig("arm_3")
-    stream, session = Stream(), SensorSession(MODULES, 9.81, 49.0)
+    stream, session = SuitSource(), SensorSession(MODULES, 9.81, 49.0)
     stream.add_link("box", Framing.BYTE_STREAM)
     for sent in traffic(suit, SECONDS):
         for reading in stream.receive(Chunk(sent.data, round(sent.time_s * 1e9), "box")):

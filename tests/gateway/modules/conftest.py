@@ -12,7 +12,7 @@ from gateway.body.rig import load_rig
 from gateway.modules.journal import Journal
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import connect_client
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def operated(commanded_suit, tmp_path, monkeypatch):
     async def start(allow_writes=True, **settings):
         journal = Journal(tmp_path / "module_changes.json")
         async with commanded_suit(**settings) as suit:
-            stream = Stream()
+            stream = SuitSource()
             client = CommandClient([suit.link], allow_writes=allow_writes)
             connect_client(client, stream)
             stream.add_link(suit.link.name, suit.link.framing)

@@ -17,7 +17,7 @@ from gateway.body.rig import load_rig
 from gateway.cli.modules_suit import WIDEST, modules_screen
 from gateway.emulation.rig import dress, move
 from gateway.modules.summary import count_samples, summarise
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 from tests.patience import PATIENCE_S
 
 
@@ -39,7 +39,7 @@ async def test_one_that_answers_no_commands_is_listed_by_what_it_says_of_itself(
 
 
 def test_rates_are_those_between_two_counts():
-    suit, stream, counted = load_rig("robot_arm_4"), Stream(), []
+    suit, stream, counted = load_rig("robot_arm_4"), SuitSource(), []
     traffic = SuitTraffic(move(dress(suit), suit.skeleton.name, 1), SuitSettings(sampling_rate_hz=50.0))
     stream.add_link("suit", Framing.BYTE_STREAM)
     sent = list(traffic.transmissions(3.0))

@@ -9,7 +9,7 @@ from firmware_protocol.framing import encode_frame
 from gateway.body.rig import load_rig
 from gateway.contract.messages import ModuleAvailability, ModuleState
 from gateway.modules.summary import ModuleStates
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 
 SECOND_NS = 10**9
 SAMPLE = InertialSample((0.0, 0.0, 9.8), (0.0, 0.0, 0.0), (20.0, 0.0, -40.0))
@@ -21,7 +21,7 @@ class Suit:
     """Modules that send at 100 Hz, and their states looked at four times a second."""
 
     def __init__(self, **params):
-        self.stream = Stream()
+        self.stream = SuitSource()
         self.stream.add_link("suit", Framing.BYTE_STREAM)
         timing = {"silent_after_ns": 2 * SECOND_NS, "interval_ns": 5 * SECOND_NS} | params
         self.states = ModuleStates(self.stream, load_rig("robot_arm_4"), **timing)

@@ -9,7 +9,7 @@ from firmware_protocol import ReceivedPacket
 from firmware_protocol.messages import Event
 from gateway.modules import motion
 from gateway.modules.motion import MotionWatch
-from gateway.sources.stream import Stream
+from gateway.sources.suit import SuitSource
 from tests.patience import PATIENCE_S
 
 TAP = 2
@@ -33,7 +33,7 @@ async def tapped_until_found(stream, module, looking):
 
 async def test_a_long_look_hears_what_happens_late_in_it(monkeypatch):
     monkeypatch.setattr(motion, "_IDLE_S", 0.1)
-    stream = Stream()
+    stream = SuitSource()
     looking = asyncio.create_task(MotionWatch(stream).next(PATIENCE_S))
     await asyncio.sleep(0.3)  # longer than listening goes on unused
     assert stream._listeners[Event]

@@ -1,6 +1,6 @@
 """Chunks of any link to readings in gateway time: framing → packets → clocks.
 
-One ``Stream`` serves the whole suit, since modules may come over several links, or all through a
+One ``SuitSource`` serves the whole suit, since modules may come over several links, or all through a
 relay over one. Readings are routed by module id.
 """
 
@@ -61,7 +61,7 @@ _TRIGGERED = 1 << 8
 """Added to the kind: triggered samples are counted by themselves, by the triggers' numbers."""
 
 
-class Stream:
+class SuitSource:
     """Decodes, counts and timestamps packets of modules."""
 
     observes = InertialBatch
@@ -90,7 +90,7 @@ class Stream:
         self.listen(SyncResponse, self._exchanges.answered)
 
     @classmethod
-    def of(cls, context: SourceContext) -> Stream:
+    def of(cls, context: SourceContext) -> SuitSource:
         """Return the stream of a suit in its surroundings."""
         return cls(context.modules, context.triggers)
 
