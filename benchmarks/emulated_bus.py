@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from unittest import mock
 
 from devices import socketcan_link
-from devices.can_errors import BusError
 from devices.emulators.transports.transport import OnReceive
 from devices.link import Framing
+from devices.socketcan_link import BusError
 from firmware_protocol import CanFrame, unpack_can_records
 
 CHANNEL = "can0"

@@ -14,10 +14,10 @@ import socket
 import struct
 from collections import Counter
 from collections.abc import AsyncIterator, Sequence
+from enum import Enum
 from pathlib import Path
 
 from devices.arrivals import Arrivals
-from devices.can_errors import WANTED_ERRORS, BusError, errors_of
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
 from devices.link_counts import (
     ANCILLARY_SIZE,
@@ -44,6 +44,43 @@ _RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024
 _BATCH = 64
 _SEND_RETRY_S = 0.001
 _SEND_RETRIES = 1000
+
+# Error frames: linux/can/error.h.
+_TX_TIMEOUT, _CONTROLLER, _BUS_OFF, _RESTARTED = 0x001, 0x004, 0x040, 0x100
+_STATE = 1
+"""Byte of an error frame that holds the controller's state."""
+
+_WANTED_ERRORS = _TX_TIMEOUT | _CONTROLLER | _BUS_OFF | _RESTARTED
+"""Mask of the error frames to ask the kernel for."""
+
+
+class BusError(Enum):
+    """What went wrong on a bus, as its controller reports it, in order of gravity."""
+
+    WARNING = "the error counter passed 96"
+    PASSIVE = "the error counter passed 127: the controller may no longer mark others' frames as bad"
+    OVERFLOW = "the controller's own buffer was full: frames were lost before the kernel saw them"
+    TRANSMIT_TIMEOUT = "a frame could not be sent in time"
+    BUS_OFF = "the error counter passed 255: the controller has left the bus"
+    RESTARTED = "the controller takes part again after bus-off"
+
+
+_BY_CLASS = {
+    _TX_TIMEOUT: BusError.TRANSMIT_TIMEOUT,
+    _BUS_OFF: BusError.BUS_OFF,
+    _RESTARTED: BusError.RESTARTED,
+}
+_BY_STATE = {0x03: BusError.OVERFLOW, 0x0C: BusError.WARNING, 0x30: BusError.PASSIVE}
+
+
+def _errors_of(frame: CanFrame) -> list[BusError]:
+    """Return what an error frame reports; empty for any other frame."""
+    if not frame.is_error:
+        return []
+    errors = [error for mask, error in _BY_CLASS.items() if frame.identifier & mask]
+    if frame.identifier & _CONTROLLER and len(frame.data) > _STATE:
+        errors += [error for mask, error in _BY_STATE.items() if frame.data[_STATE] & mask]
+    return errors
 
 
 class SocketCanLink:
@@ -150,7 +187,7 @@ class SocketCanLink:
 
     def _note_error(self, frame: CanFrame) -> LinkError | None:
         """Count what the controller reports; the loss of the link when it has left the bus."""
-        errors = errors_of(frame)
+        errors = _errors_of(frame)
         self.bus_errors.update(errors)
         self.counts.before[LostBefore.CONTROLLER_OVERFLOW] += errors.count(BusError.OVERFLOW)
         return LinkError(self._bus_off()) if BusError.BUS_OFF in errors else None
@@ -195,7 +232,7 @@ def open_can_socket(channel: str, fd: bool) -> socket.socket:
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
     try:
         # The kernel passes on the controller's errors only to those who ask for them.
-        bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, WANTED_ERRORS)
+        bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _WANTED_ERRORS)
         if fd:
             bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
         bus.bind((channel,))

@@ -7,8 +7,9 @@ falling due, its power going and coming. Between two such moments it samples and
 from __future__ import annotations
 
 import contextlib
+import heapq
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,6 @@ from devices.emulators.sampling_timer import SamplingTimer
 from devices.emulators.sender import Sender, Timed
 from devices.emulators.status_reports import StatusReports, device_info
 from devices.emulators.stored_settings import KEYS, StoredSettings
-from devices.emulators.timeline import FROM_OUTSIDE, Timeline
 from firmware_protocol import (
     BROADCAST,
     Command,
@@ -43,10 +43,43 @@ from firmware_protocol.messages import ANYONE, DEVICE_INFO_INTERVAL_S
 STARTED_FROM_FACTORY_SETTINGS = 8
 """Event of a device that found no settings in its flash."""
 
+FROM_OUTSIDE = 0
+"""In the place of a boot: happens whatever became of the firmware since."""
+
 _SYNC_TURNAROUND_S = 0.0002
 _ANSWER_S = 0.0005
 _FOLLOW_S = 0.0005
 _FIRST_EVENT_S = 0.001
+
+
+@dataclass(order=True, frozen=True, slots=True)
+class Happening:
+    """Something to be done at a true time; at one moment, in the order in which it was foreseen."""
+
+    at_s: float
+    order: int
+    act: Callable[[], None] = field(compare=False)
+    boot: int = field(compare=False)
+    """Which run of the firmware means to do it; void when the device has started again since."""
+
+
+class Timeline:
+    """What is to happen to one device, taken in order of time."""
+
+    def __init__(self) -> None:
+        self._waiting: list[Happening] = []
+        self._order = 0
+
+    def add(self, at_s: float, act: Callable[[], None], boot: int = FROM_OUTSIDE) -> None:
+        """Add something that is to happen."""
+        heapq.heappush(self._waiting, Happening(at_s, self._order, act, boot))
+        self._order += 1
+
+    def next_before(self, to_s: float) -> Happening | None:
+        """Take the next one that lies before a true time, s."""
+        if not self._waiting or self._waiting[0].at_s >= to_s:
+            return None
+        return heapq.heappop(self._waiting)
 
 
 @dataclass(frozen=True)

@@ -7,19 +7,23 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Sequence
+import queue
+import threading
+import time
+from collections.abc import Callable, Sequence
 
 from devices.link import Link, gateway_time_ns
 from firmware_protocol import BROADCAST, SamplingTrigger, wire_frame
 from gateway.clocks import Trigger, TriggerAnswers, TriggerTimer
 from gateway.service.host_sender import HostSender
-from gateway.support.precise_alarm import PreciseAlarm
 
 log = logging.getLogger(__name__)
 
 _PROMPT_NS = 2_000_000
 """A write that takes longer leaves open when the trigger left: its answers are worth nothing."""
 _LOOK_INTERVAL_NS = 1_000_000_000
+_LONGEST_NAP_S = 0.25
+"""So that the thread notices that it is no longer wanted."""
 
 
 class Triggerer:
@@ -98,3 +102,41 @@ class Triggerer:
                 module,
                 module,
             )
+
+
+class PreciseAlarm:
+    """Wakes one event loop at an instant, far more precisely than its own timers do; ``close`` it in the end.
+
+    The timers of the default event loop are as coarse as a millisecond. A thread that sleeps is woken within
+    some tens of microseconds, and hands over at once; what the loop is busy with comes on top.
+    """
+
+    def __init__(self, clock_ns: Callable[[], int] = gateway_time_ns) -> None:
+        self._clock_ns = clock_ns
+        self._loop = asyncio.get_running_loop()
+        self._wanted: queue.SimpleQueue[tuple[int, asyncio.Event] | None] = queue.SimpleQueue()
+        self._is_closed = False
+        threading.Thread(target=self._wait_for_alarms, name="precise alarm", daemon=True).start()
+
+    async def wait_until(self, instant_ns: int) -> None:
+        """Sleep until a gateway time; one that has passed only gives way to other tasks."""
+        if instant_ns <= self._clock_ns():
+            await asyncio.sleep(0)
+            return
+        reached = asyncio.Event()
+        self._wanted.put((instant_ns, reached))
+        await reached.wait()
+
+    def close(self) -> None:
+        """End the thread; who still waits is not woken."""
+        self._is_closed = True
+        self._wanted.put(None)
+
+    def _wait_for_alarms(self) -> None:
+        while (wanted := self._wanted.get()) is not None:
+            instant_ns, reached = wanted
+            while not self._is_closed and (left_ns := instant_ns - self._clock_ns()) > 0:
+                time.sleep(min(left_ns * 1e-9, _LONGEST_NAP_S))
+            if self._is_closed or self._loop.is_closed():
+                return
+            self._loop.call_soon_threadsafe(reached.set)

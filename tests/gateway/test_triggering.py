@@ -14,11 +14,10 @@ from firmware_protocol import (
 )
 from gateway.clocks import TriggerAnswers
 from gateway.service.host_sender import HostSender
-from gateway.service.triggering import Triggerer
+from gateway.service.triggering import PreciseAlarm, Triggerer
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.module_table import ModuleTable
 from gateway.sources.suit import SuitSource
-from gateway.support.precise_alarm import PreciseAlarm
 from tests.patience import PATIENCE_S
 
 MS = 1_000_000
