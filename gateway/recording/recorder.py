@@ -229,14 +229,13 @@ class Recorder:
             self._sink.write(topic, time_ns, self._encoded(topic, data), metadata)
             written += len(data) if isinstance(data, bytes) else _FRAME_BYTES
         reason = self._sink.flush()
+        # Counted as written only after the flush: until then a crash may still lose them.
         with self._lock:
             self.counts.written.update(self._unflushed)
             self._unflushed.clear()
             self._queue_bytes -= written
         self.counts.longest_flush_s = max(self.counts.longest_flush_s, time.monotonic() - begun)
         return reason
-
-    # Counted as written only after the flush: until then a crash may still lose them.
 
     def _encoded(self, topic: str, data: bytes | SkeletonFrame) -> bytes:
         if isinstance(data, bytes):

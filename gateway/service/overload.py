@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Stage:
+class LoadStage:
     """One step of the order."""
 
     name: str
@@ -36,13 +36,13 @@ class Stage:
     """Of the frames, how many are reconstructed: every so manyeth."""
 
 
-SHED: tuple[Stage, ...] = (
-    Stage("nothing", "everything is done"),
-    Stage("side_outputs", "no poses for avatars, UDP and LSL"),
-    Stage("segment_topics", "and no messages of single segments"),
-    Stage("published_poses", "and at most 25 poses a second over MQTT, and so on the live page", 25.0),
-    Stage("half_the_frames", "and every second frame is reconstructed", 25.0, 2),
-    Stage("most_frames", "and every fifth frame is reconstructed", 10.0, 5),
+SHED: tuple[LoadStage, ...] = (
+    LoadStage("nothing", "everything is done"),
+    LoadStage("side_outputs", "no poses for avatars, UDP and LSL"),
+    LoadStage("segment_topics", "and no messages of single segments"),
+    LoadStage("published_poses", "and at most 25 poses a second over MQTT, and so on the live page", 25.0),
+    LoadStage("half_the_frames", "and every second frame is reconstructed", 25.0, 2),
+    LoadStage("most_frames", "and every fifth frame is reconstructed", 10.0, 5),
 )
 """In this order; each with all that the ones before it have taken away."""
 SIDE_OUTPUTS, SEGMENT_TOPICS = 1, 2
@@ -105,7 +105,7 @@ class LoadWatch:
         return not is_first and self._decide(self.lag_s, now_s)
 
     @property
-    def holds(self) -> Stage:
+    def holds(self) -> LoadStage:
         """What is given up now."""
         return SHED[self.stage]
 

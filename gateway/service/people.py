@@ -33,7 +33,7 @@ Serve = Callable[
 """Makes a person's service: what solves them in it, and what runs it until it is cancelled."""
 
 
-class CameraOrders:
+class OrdersToCameras:
     """Writes the newest orders to every link that heat maps come by, and waits for none: what a link does not
     take is left out."""
 

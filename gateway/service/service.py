@@ -51,7 +51,7 @@ from gateway.service.observability import LogReport, Observer
 from gateway.service.overload import LoadWatch, Shedding
 from gateway.service.own_requests import OwnRequests
 from gateway.service.parts import bridge_info, links_of, periodic_senders, unworn_modules
-from gateway.service.people import CARRIES, CameraOrders, PeopleBeforeCameras
+from gateway.service.people import CARRIES, OrdersToCameras, PeopleBeforeCameras
 from gateway.settings import GatewaySettings, fitting_suit
 from gateway.sources.registry import source_kind
 from gateway.sources.statistics import Cause
@@ -129,7 +129,7 @@ class Service:
         )
         self._records_at_start = settings.recording.at_start
 
-        self._orders = CameraOrders([link for link in self.links if self._has_cameras(link)])
+        self._orders = OrdersToCameras([link for link in self.links if self._has_cameras(link)])
         self.people: PeopleBeforeCameras | None = None
         """Several, who come and go before cameras."""
         if settings.people is not None:

@@ -139,9 +139,14 @@ class ModuleStage:
         """Return the poses of frames in time order."""
         return [self._marked_doubtful(pose) for pose in update_many(self.reconstructor, frames)]
 
+    @property
+    def _whole_body(self) -> WholeBodyReconstructor | None:
+        """The reconstructor, if it is one that knows how far its joints agree."""
+        return self.reconstructor if isinstance(self.reconstructor, WholeBodyReconstructor) else None
+
     def doubts(self) -> dict[int, str]:
         """Return why the segments of some modules are doubtful, and what to do, by module id."""
-        worn = self.reconstructor.doubts() if isinstance(self.reconstructor, WholeBodyReconstructor) else {}
+        worn = {} if self._whole_body is None else self._whole_body.doubts()
         return worn | self._modules.restless()
 
     def statistics(self) -> Mapping[str, object]:
@@ -154,12 +159,8 @@ class ModuleStage:
             "unused_readings": dict(self.unused),
             "spikes": {} if self._despiker is None else self._despiker.summary(),
             "clipped": self._ranges.summary(),
-            "joint_agreement": self.reconstructor.joint_agreement()
-            if isinstance(self.reconstructor, WholeBodyReconstructor)
-            else {},
-            "certainty": self.reconstructor.certainty()
-            if isinstance(self.reconstructor, WholeBodyReconstructor)
-            else {},
+            "joint_agreement": {} if self._whole_body is None else self._whole_body.joint_agreement(),
+            "certainty": {} if self._whole_body is None else self._whole_body.certainty(),
             "doubts": {str(module): why for module, why in self.doubts().items()},
         }
 
