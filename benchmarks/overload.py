@@ -21,7 +21,7 @@ from gateway.contract.topics import Topics
 from gateway.outputs.output import Thinning
 from gateway.outputs.pose_encoding import PosePublications
 from gateway.outputs.settings import MqttSettings, PoseFormat, PoseMap
-from gateway.outputs.side_outputs import VmcEncoder
+from gateway.outputs.unity import VmcEncoder
 from gateway.pipeline import LOAD_EVENT, Pipeline
 from gateway.service.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, LoadWatch
 from gateway.sources.clock_mode import ClockMode

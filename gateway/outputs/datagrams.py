@@ -1,12 +1,14 @@
-"""Datagrams to one address."""
+"""Poses as datagrams to one address."""
 
 from __future__ import annotations
 
 import asyncio
 import socket
 from collections.abc import Sequence
+from typing import Protocol
 
 from gateway.errors import OutputError
+from gateway.frames import SkeletonFrame
 
 
 class DatagramSender:
@@ -47,3 +49,31 @@ class DatagramSender:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
+
+
+class Encoder(Protocol):
+    """Makes the datagrams of a frame."""
+
+    def encode(self, frame: SkeletonFrame) -> list[bytes]:
+        """Return the datagrams of a frame, in order of sending."""
+        ...
+
+
+class DatagramSink:
+    """Sends what frames become to one address. name: of the output, for errors."""
+
+    def __init__(self, name: str, host: str, port: int, encoder: Encoder) -> None:
+        self._sender = DatagramSender(name, host, port)
+        self._encoder = encoder
+
+    async def open(self) -> None:
+        """Find the address. Raises ``OutputError`` for a host that nobody knows."""
+        await self._sender.open()
+
+    def send(self, frame: SkeletonFrame) -> bool:
+        """Whether the system took all datagrams. Raises ``OSError``, such as for a network that is away."""
+        return self._sender.send(self._encoder.encode(frame))
+
+    def close(self) -> None:
+        """Give the socket back."""
+        self._sender.close()

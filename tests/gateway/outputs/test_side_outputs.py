@@ -16,7 +16,7 @@ from gateway.contract.messages import PoseMessage
 from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
 from gateway.outputs.settings import OutputsSettings
-from gateway.outputs.side_outputs import LatestOutput, SideOutputs
+from gateway.outputs.side_outputs import SINKS, LatestOutput, SideOutputs
 from gateway.outputs.unity import t_pose
 from tests.patience import PATIENCE_S
 
@@ -43,6 +43,10 @@ def receiver():
 
 def outputs(**settings):
     return SideOutputs(OutputsSettings(**settings), SKELETON, "lab", 100.0)
+
+
+def test_every_output_that_can_be_configured_is_made():
+    assert set(SINKS) == set(OutputsSettings.model_fields)
 
 
 def test_all_are_off_unless_configured():

@@ -11,8 +11,7 @@ from gateway.body.kinematics import joint_positions
 from gateway.body.rig import load_rig
 from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
-from gateway.outputs.side_outputs import VmcEncoder
-from gateway.outputs.unity import AvatarPoses, bones_of, t_pose, unity_rotation, unity_vector
+from gateway.outputs.unity import AvatarPoses, VmcEncoder, bones_of, t_pose, unity_rotation, unity_vector
 
 SKELETON = load_rig("suit_17").skeleton
 EXCHANGE = np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]])
