@@ -48,15 +48,15 @@ class SensorCalibration:
     """At which it was measured, °C."""
 
     def specific_force(self, reading: Sequence[float] | FloatArray) -> FloatArray:
-        """Corrected; shapes (3,) or (n, 3), m/s²."""
+        """Return it corrected; shapes (3,) or (n, 3), m/s²."""
         return (np.asarray(reading) - self.accelerometer_bias) @ self.accelerometer_matrix.T
 
     def angular_rate(self, reading: Sequence[float] | FloatArray) -> FloatArray:
-        """Corrected; shapes (3,) or (n, 3), rad/s."""
+        """Return it corrected; shapes (3,) or (n, 3), rad/s."""
         return np.asarray(reading) - self.gyroscope_bias
 
     def magnetic_field(self, reading: Sequence[float] | FloatArray) -> FloatArray:
-        """Corrected; shapes (3,) or (n, 3), µT."""
+        """Return it corrected; shapes (3,) or (n, 3), µT."""
         return (np.asarray(reading) - self.magnetometer_bias) @ self.magnetometer_matrix.T
 
     def after(self, first: SensorCalibration) -> SensorCalibration:

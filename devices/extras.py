@@ -21,7 +21,7 @@ def how_to_add(extra: str, tree: Path = _TREE) -> str:
 
 
 def _from_here(path: Path) -> str:
-    """Relative to where the user is, where it lies below."""
+    """Return relative to where the user is, where it lies below."""
     try:
         return str(path.relative_to(Path.cwd()))
     except (ValueError, OSError):  # elsewhere, or in a folder that is no more

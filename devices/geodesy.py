@@ -53,7 +53,7 @@ class LocalPlane:
 
 
 def geodetic(plane: LocalPlane, enu: FloatArray) -> tuple[float, float, float]:
-    """Latitude and longitude (degrees) and height (m) of a place (3,) given in a local plane."""
+    """Return the latitude and longitude (degrees) and height (m) of a place (3,) given in a local plane."""
     x, y, z = (plane._origin + plane._axes.T @ enu).tolist()
     ring = math.hypot(x, y)
     # Begun with the latitude of a place on the ellipsoid; each round brings height and latitude closer.

@@ -19,7 +19,7 @@ _UTC_ANCHOR_NS = time.time_ns() - time.monotonic_ns()
 
 
 def gateway_time_ns() -> int:
-    """Now, in gateway time: nanoseconds since the Unix epoch as of process start, never stepping."""
+    """Return the present in gateway time, ns since the Unix epoch as of process start, never stepping."""
     return time.monotonic_ns() + _UTC_ANCHOR_NS
 
 

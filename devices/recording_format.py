@@ -157,7 +157,7 @@ def link_of(topic: str) -> str | None:
 
 
 def message_of(chunk: Chunk) -> tuple[str, bytes]:
-    """Topic and message of what a link gave."""
+    """Return the topic and message of what a link gave."""
     if not chunk.sender:
         return CHUNKS + chunk.link, chunk.data
     sender = chunk.sender.encode()[:_LONGEST_SENDER]

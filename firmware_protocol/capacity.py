@@ -35,7 +35,8 @@ class Traffic:
 
 
 def can_frame_seconds(data_size: int, bitrate: int, data_bitrate: int | None = None) -> float:
-    """Longest time of one frame with an extended identifier, s. ``data_bitrate``: CAN FD; None: classic."""
+    """Return the longest time of one frame with an extended identifier, s. ``data_bitrate``: CAN FD; None:
+    classic."""
     bits = 8 * data_size
     if data_bitrate is None:
         stuffed = _CLASSIC_STUFFED + bits

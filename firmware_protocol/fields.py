@@ -187,12 +187,12 @@ OPEN = ""
 def wire(
     code: str, count: int = 1, unit: str = "", scale: float | None = None, **rest: Any
 ) -> dict[str, Any]:
-    """Metadata of a dataclass field that lies on the wire; ``rest`` as in ``WireField``."""
+    """Return the metadata of a dataclass field that lies on the wire; ``rest`` as in ``WireField``."""
     return {"wire": WireField(code=code, count=count, unit=unit, scale=scale, **rest)}
 
 
 def flag(bit: int, sentence: str, clips: str | None = None) -> dict[str, Any]:
-    """Metadata of a boolean dataclass field that is a bit of the mask."""
+    """Return the metadata of a boolean dataclass field that is a bit of the mask."""
     return {"wire": MaskFlag(bit=bit, sentence=sentence, clips=clips)}
 
 

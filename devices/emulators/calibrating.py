@@ -81,7 +81,7 @@ class SquatPath:
     """rad, anticlockwise from east."""
 
     def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
-        """Position of the root's joint in the world and its derivatives, each (T, N)."""
+        """Return the position of the root's joint in the world and its derivatives, each (T, N)."""
         bend = self.bend.rows(np.zeros(times.shape[1], dtype=np.int64)).evaluate(times, fade)[2]
         sine, cosine = np.sin(bend.value), np.cos(bend.value)
         still = np.zeros_like(times)

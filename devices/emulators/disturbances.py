@@ -38,7 +38,7 @@ class Disturbance(Protocol):
         ...
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Specific force (m/s²) and angular rate (rad/s) to add at true times (n,): two of (n, 3)."""
+        """Return specific force (m/s²) and angular rate (rad/s) to add at true times (n,): two of (n, 3)."""
         ...
 
 

@@ -193,7 +193,7 @@ class EmulatedDevice:
         return sent, sampled
 
     def planned(self, to_s: float) -> FloatArray:
-        """True times (n,) at which it will sample before ``to_s`` if nothing is changed."""
+        """Return the true times (n,) at which it will sample before ``to_s`` if nothing is changed."""
         return self.sender.clock.true_time(self._timer.ahead(to_s)) if self.is_on else np.empty(0)
 
     # What commands act on.

@@ -54,7 +54,7 @@ class Lap:
     lead_s: float = 0.6
 
     def walk_m(self) -> float:
-        """Length of each walk."""
+        """Return the length of each walk."""
         return 2.0 * self.straight_m + pi * self.radius_m
 
     def walks(self, speed: float) -> list[tuple[float, float]]:
@@ -126,7 +126,7 @@ def window(times: FloatArray, begin: float, end: float, ramp: float) -> FloatArr
 
 
 def _way(times: FloatArray, begin: float) -> FloatArray:
-    """Integral of the rise of a window that begins there."""
+    """Return the integral of the rise of a window that begins there."""
     return _eased_way((times - begin) / RAMP_S, RAMP_S)
 
 
@@ -187,7 +187,7 @@ def steps_of(leg: Leg, sign: float, walk: tuple[float, float], course: Course, s
 def foot_at(
     leg: Leg, steps: Steps, stride: Stride, times: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ankle (T, 3), heading (T,) and pitch (T,; toes up) of a foot."""
+    """Return the ankle (T, 3), heading (T,) and pitch (T,; toes up) of a foot."""
     n = np.clip(np.searchsorted(steps.strikes, times, side="right") - 1, 0, len(steps.strikes) - 1)
     phase = np.clip((times - steps.strikes[n]) * STRIDE_HZ, 0.0, 1.0)
     # The last step ends with a flat foot, and the first one begins with one.
@@ -373,7 +373,8 @@ def _upper_body(
     activities: dict[str, FloatArray],
     rng: np.random.Generator,
 ) -> dict[str, FloatArray]:
-    """Trunk, head and arms: the trunk turns against the pelvis, each arm swings with the other side's leg."""
+    """Return trunk, head and arms: the trunk turns against the pelvis, each arm swings with the other side's
+    leg."""
     swing = 2.0 * pi * phase
     nothing = np.zeros_like(phase)
     thorax = np.stack(
@@ -484,7 +485,7 @@ class SplinePath:
     """One row, of which the first component is the turn to the left, rad."""
 
     def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
-        """World coordinates at ``times`` (T, M)."""
+        """Return world coordinates at ``times`` (T, M)."""
         return self.places.rows(np.zeros(times.shape[1], np.int64)).evaluate(times, fade)
 
     def heading(self, times: FloatArray) -> Derivatives:
@@ -497,7 +498,7 @@ class SplinePath:
 def planned_lap(
     body: EmulatedBody, seed: int, fade: Fade, lap: Lap, stride: Stride
 ) -> tuple[SplineRows, SplinePath]:
-    """Joint angles and the pelvis' path. Raises ``ValueError`` for a body without two legs."""
+    """Return joint angles and the pelvis' path. Raises ``ValueError`` for a body without two legs."""
     stride = stride.scaled((leg := leg_of(body, "left")).thigh + leg.shank)
     period_s = lap.period(stride.length * STRIDE_HZ)
     n = round(period_s * GRID_HZ)

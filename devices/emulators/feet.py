@@ -25,11 +25,11 @@ class Foot:
     first_strike_s: float
 
     def strike_s(self, stance: int) -> float:
-        """Heel strike of a stance; stance −1 is the standing before the first step."""
+        """Return the heel strike of a stance; stance −1 is the standing before the first step."""
         return self.first_strike_s + stance / self.gait.stride_hz
 
     def place(self, stance: int) -> tuple[FloatArray, float]:
-        """Ankle of the flat foot (forward, up, right), m, and its heading, rad."""
+        """Return the ankle of the flat foot (forward, up, right), m, and its heading, rad."""
         leg, gait = self.leg, self.gait
         if stance < 0:
             return leg.hip - np.array([0.0, leg.thigh + leg.shank, 0.0]), 0.0
@@ -43,7 +43,7 @@ class Foot:
 
 
 def foot_path(foot: Foot, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ankle (T, 3), heading (T,) and pitch (T,; toes up) of the foot at times (T,)."""
+    """Return the ankle (T, 3), heading (T,) and pitch (T,; toes up) of the foot at times (T,)."""
     stride_s = 1.0 / foot.gait.stride_hz
     stance = np.floor((times - foot.first_strike_s) / stride_s).astype(int)
     ankle, heading, pitch = np.zeros((len(times), 3)), np.zeros(len(times)), np.zeros(len(times))
@@ -58,7 +58,8 @@ def foot_path(foot: Foot, times: FloatArray) -> tuple[FloatArray, FloatArray, Fl
 
 
 def _stride(foot: Foot, stance: int, phase: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return ankle, heading and pitch in one stance and the swing after it, by phase from heel strike on."""
+    """Return the ankle, heading and pitch in one stance and the swing after it, by phase from heel strike
+    on."""
     gait = foot.gait
     pitch = _pitch(gait)
     here, yaw = foot.place(stance)

@@ -65,7 +65,8 @@ class FusedOutput:
         return [packed[start : start + size] for start in range(0, len(packed), size)]
 
     def _since_last(self, instants: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Time (n,) and way (n, 3) from one upload to the next, along the axes of the reference."""
+        """Return the time (n,) and way (n, 3) from one upload to the next, along the axes of the
+        reference."""
         last_s, last_position = self._last or (float(instants[0]), position[0])
         self._last = float(instants[-1]), position[-1]
         way = np.diff(position, axis=0, prepend=last_position[None])

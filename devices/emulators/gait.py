@@ -132,7 +132,7 @@ class PlannedPath:
         )
 
     def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
-        """World coordinates of the pelvis' joint at ``times`` (T, M)."""
+        """Return world coordinates of the pelvis' joint at ``times`` (T, M)."""
         parts = self.place(times)
         turned = [
             [sum(self._axes[i, k] * parts[k][order] for k in range(3)) for order in range(3)]
@@ -205,7 +205,7 @@ class PlannedAngles:
 def planned_motion(
     body: EmulatedBody, gait: Gait, fade: Fade, others: Waves, pelvis: Waves
 ) -> tuple[PlannedAngles, PlannedPath]:
-    """Joint angles and pelvis path of a gait.
+    """Return joint angles and pelvis path of a gait.
 
     others: angles of segments that are no legs; the pelvis may only turn about y. pelvis: its row of it.
     Raises ``ValueError`` for a body without two legs.
@@ -248,7 +248,7 @@ def _plus(a: Derivatives, b: Derivatives) -> Derivatives:
 
 
 def _times(a: Derivatives, b: Derivatives) -> Derivatives:
-    """Product rule."""
+    """Apply the product rule."""
     return Derivatives(
         a.value * b.value,
         a.rate * b.value + a.value * b.rate,

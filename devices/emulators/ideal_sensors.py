@@ -63,7 +63,8 @@ def sense(
 
 
 def measure_point(state: MotionState, points: FloatArray, quantity: int) -> FloatArray:
-    """Acceleration (without gravity), velocity or position of points of segments, world axes, (T, M, 3).
+    """Return acceleration (without gravity), velocity or position of points of segments, world axes, (T, M,
+    3).
 
     points: (M, 3) from the segment's proximal joint, segment axes, m. Raises ``ValueError`` for another
     quantity.

@@ -171,7 +171,7 @@ class ModuleClock:
         return (self.start_us + round(elapsed * 1e6)) % 2**32
 
     def true_time(self, elapsed: Seconds) -> Seconds:
-        """True time, s, at which the clock has run for so long."""
+        """Return the true time, s, at which the clock has run for so long."""
         return self.origin_s + elapsed / (1.0 + self.skew)
 
     def elapsed(self, true_time: float) -> float:

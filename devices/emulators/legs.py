@@ -71,7 +71,7 @@ def leg_angles(
 
 
 def foot_turn(heading: FloatArray, pitch: FloatArray) -> Rotation:
-    """Orientation of a foot in the plan: (T,) rad each, toes up is positive."""
+    """Return the orientation of a foot in the plan: (T,) rad each, toes up is positive."""
     return Rotation.from_euler("y", heading[:, None]) * Rotation.from_euler("z", pitch[:, None])
 
 

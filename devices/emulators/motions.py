@@ -130,7 +130,7 @@ def pendulum_motion(body: EmulatedBody, seed: int, fade: Fade | None = None) -> 
 
 
 def walking_motion(body: EmulatedBody, seed: int, fade: Fade | None = None) -> BodyMotion:
-    """Walking to and fro: hips, knees, ankles, swinging arms, a bobbing pelvis.
+    """Return walking to and fro: hips, knees, ankles, swinging arms, a bobbing pelvis.
 
     Segments are known by their ISB names (``left_thigh``, …) with x anterior, y up and z right in the
     reference posture; segments of other names only tremble a little.
@@ -158,7 +158,7 @@ def walking_motion(body: EmulatedBody, seed: int, fade: Fade | None = None) -> B
 def gait_motion(
     body: EmulatedBody, seed: int, fade: Fade | None = None, gait: Gait | None = None
 ) -> BodyMotion:
-    """Walking (or another gait) through the world: the foot that carries the body stands still.
+    """Return walking (or another gait) through the world: the foot that carries the body stands still.
 
     Segments as for ``walking_motion``, which moves a body without legs instead.
     """
@@ -179,7 +179,7 @@ def gait_motion(
 
 
 def everyday_motion(body: EmulatedBody, seed: int, lap: Lap | None = None) -> BodyMotion:
-    """Walking as people walk, turning, stopping, reaching out, a squat, and all over again.
+    """Return walking as people walk, turning, stopping, reaching out, a squat, and all over again.
 
     Raises ``ValueError`` for a body without two legs.
     """

@@ -137,7 +137,7 @@ def read_repoimu_pendulum(folder: Path) -> RecordedTracks:
 
 
 def read_hipose_mtw17(folder: Path) -> RecordedTracks:
-    """Seventeen Xsens modules on a whole body at 60 Hz, with the orientations of Xsens' own filter.
+    """Return seventeen Xsens modules on a whole body at 60 Hz, with the orientations of Xsens' own filter.
 
     The references' world, north-west-up, is turned to east-north-up. They are orientations of the
     module (sensor axes), not of the segment.

@@ -123,7 +123,7 @@ class RecordedTracks:
         return max(float(track.times[-1]) for track in self._tracks)
 
     def reference(self, name: str) -> ReferenceTrack:
-        """Reference of a segment by name. Raises ``KeyError`` naming those there are."""
+        """Return the reference of a segment by name. Raises ``KeyError`` naming those there are."""
         for track in self.references:
             if track.name == name:
                 return track

@@ -77,7 +77,8 @@ def bump(part: FloatArray, kind: int) -> FloatArray:
 
 
 def pitch(stride: Stride, phase: FloatArray) -> FloatArray:
-    """Pitch of a foot at a phase (T,) of its own stride, rad; twice continuously differentiable."""
+    """Return the pitch of a foot at a phase (T,) of its own stride, rad; twice continuously
+    differentiable."""
     strike, flat, still = [*stride.strike, 0.0], [0.0] * 4, [0.0] * 4
     knots = [0.0, stride.flat_from, stride.flat_to, stride.toe_off, 1.0]
     curve: FloatArray = BPoly.from_derivatives(knots, [strike, flat, still, [*stride.push], strike])(phase)

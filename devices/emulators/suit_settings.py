@@ -57,5 +57,5 @@ class SuitSettings:
     """Length of the blocks in which ``SuitTraffic.transmissions`` computes what is sent."""
 
     def rate(self, number: int) -> float:
-        """Sampling rate that a device has stored, Hz."""
+        """Return the sampling rate that a device has stored, Hz."""
         return self.module_rates_hz.get(number, self.sampling_rate_hz)

@@ -81,7 +81,7 @@ class TumblingMotion(BodyMotion):
         )
 
     def _box(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Attitude (T, M, 3, 3), angular rate and acceleration (T, M, 3) in the box's axes."""
+        """Return attitude (T, M, 3, 3), angular rate and acceleration (T, M, 3) in the box's axes."""
         schedule = self._schedule
         at = np.mod(np.maximum(times, 0.0), schedule.period)
         k = np.searchsorted(schedule.begin, at, side="right") - 1

@@ -124,7 +124,8 @@ def read_c3d(path: Path) -> MarkerTrial:
 
 
 def open_c3d(path: Path) -> C3DFile:
-    """Header and parameters read. Raises ``FormatError`` with what was found, and where in the file."""
+    """Return the header and parameters read. Raises ``FormatError`` with what was found, and where in the
+    file."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -246,7 +247,7 @@ def _labels(parameters: dict[str, Parameter], n_points: int) -> tuple[str, ...]:
 
 
 def _scalars(parameters: dict[str, Parameter]) -> dict[str, float]:
-    """Single numbers of the groups that processing programs write measurements to."""
+    """Return single numbers of the groups that processing programs write measurements to."""
     found = {}
     for name, parameter in parameters.items():
         group, _, key = name.partition(":")

@@ -140,7 +140,7 @@ def _without_offset(file: C3DFile, signals: FloatArray) -> FloatArray:
 def _at_surface(
     kind: int, signals: FloatArray, origin: FloatArray, per_unit: float, down: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Force (N, 3) N and moment (N, 3) N m about the middle of the surface, in the plate's axes.
+    """Return force (N, 3) N and moment (N, 3) N m about the middle of the surface, in the plate's axes.
 
     down: 1 where the plate's z points down, -1 where it points up.
     """

@@ -240,7 +240,7 @@ def _posture(motion: _Motion) -> tuple[FloatArray, FloatArray]:
 
 
 def _segments(joints: list[_Joint], path: Path, given: Mapping[str, str]) -> dict[str, int]:
-    """Segment to the joint where it begins. Raises ``FormatError`` without hips and both legs."""
+    """Return segment to the joint where it begins. Raises ``FormatError`` without hips and both legs."""
     names = {joint.name: j for j, joint in enumerate(joints)}
     for name in given:
         if name not in names:
@@ -346,7 +346,7 @@ def _rest_axes(
 
 
 def _leg(segments: Mapping[str, int], rest: FloatArray, path: Path) -> float:
-    """Thigh and shank together, mean of both sides, in the file's unit."""
+    """Return the thigh and shank together, mean of both sides, in the file's unit."""
     lengths = [
         float(np.linalg.norm(rest[segments[f"{side}_{end}"]] - rest[segments[f"{side}_{begin}"]]))
         for side in ("left", "right")

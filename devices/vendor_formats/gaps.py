@@ -137,5 +137,5 @@ def spread(
 
 
 def _first(mask: NDArray[np.bool_]) -> int:
-    """Number of the first such row, counted from 1."""
+    """Return the number of the first such row, counted from 1."""
     return int(np.flatnonzero(mask)[0]) + 1

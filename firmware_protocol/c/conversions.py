@@ -12,7 +12,7 @@ _INDENT = "    "
 
 
 def conversion_source(record: Record) -> str:
-    """Size, validity, encoder and decoder of a record."""
+    """Return the size, validity, encoder and decoder of a record."""
     parts = [_mask_size(record), validity_source(record), _encoder(record), _decoder(record)]
     return "\n\n".join(part for part in parts if part)
 

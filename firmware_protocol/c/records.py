@@ -81,17 +81,17 @@ def member_comment(declared: WireField) -> str:
 
 
 def presence_macro(record: Record, declared: WireField) -> str:
-    """Name of the mask bit that says a field is there."""
+    """Return the name of the mask bit that says a field is there."""
     return macro_name(record.name, "has", declared.name)
 
 
 def flag_macro(record: Record, declared: MaskFlag) -> str:
-    """Name of the mask bit of a flag."""
+    """Return the name of the mask bit of a flag."""
     return macro_name(record.name, declared.name)
 
 
 def raw_limits(declared: WireField) -> tuple[int, int]:
-    """Smallest and largest number on the wire that an integer field allows ("not known" aside)."""
+    """Return the smallest and largest number on the wire that an integer field allows ("not known" aside)."""
     low, high = INTEGER_RANGE[declared.code]
     scale = 1 if declared.scale is None else declared.scale
     if declared.minimum is not None:

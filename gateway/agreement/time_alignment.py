@@ -78,7 +78,7 @@ def align_time(first: Tracks, second: Tracks, largest_lag_s: float | None = None
 
 
 def _angular_speeds(tracks: Tracks) -> tuple[float, FloatArray]:
-    """Instant of the first, and (T, S) rad/s at ``RATE_HZ``; NaN where not known."""
+    """Return the instant of the first, and (T, S) rad/s at ``RATE_HZ``; NaN where not known."""
     time_s = np.arange(tracks.time_s[0], tracks.time_s[-1], 1.0 / RATE_HZ)
     q = resampled(tracks, time_s).q_wb
     speed = np.full(q.shape[:2], np.nan)
@@ -97,7 +97,8 @@ def _angular_speeds(tracks: Tracks) -> tuple[float, FloatArray]:
 
 
 def _without_excess(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Angular speeds (T, S) of both, none beyond what the quieter one of a segment has, and as much again.
+    """Return angular speeds (T, S) of both, none beyond what the quieter one of a segment has, and as much
+    again.
 
     A segment that one of the two does not know well (a hand with one marker) may turn about in it at any
     speed, and would have all the say.
@@ -113,7 +114,7 @@ def _without_excess(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _by_agreement(a: FloatArray, b: FloatArray, shift: int) -> tuple[FloatArray, FloatArray]:
-    """Angular speeds (T, S) of both, each segment weighted by how well the two agree on it where
+    """Return angular speeds (T, S) of both, each segment weighted by how well the two agree on it where
     b is ``shift`` samples later: r² / (1 − r²), as its own lag is known.
 
     A few segments that one of the two hardly knows would otherwise move the lag of all by milliseconds.
@@ -198,7 +199,8 @@ def _vertex(score: FloatArray, best: int) -> float:
 def _drift(
     start_a: float, a: FloatArray, start_b: float, b: FloatArray, lag: float
 ) -> tuple[float, tuple[float, float] | None]:
-    """Middle of the overlap; rate and lag there from the lags of windows (Theil–Sen), None: too short."""
+    """Return the middle of the overlap; rate and lag there from the lags of windows (Theil–Sen), None: too
+    short."""
     begin = max(start_a, start_b - lag)
     end = min(start_a + len(a) / RATE_HZ, start_b - lag + len(b) / RATE_HZ)
     middle = 0.5 * (begin + end)

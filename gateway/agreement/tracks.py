@@ -41,8 +41,8 @@ class Tracks:
 
 
 def tracks_of(arrays: SkeletonArrays, origin_ns: int, source: str) -> Tracks:
-    """Recorded poses, seconds since ``origin_ns``; repeated instants once. Orientations that were only held
-    or predicted (hidden markers, a silent module) are not known.
+    """Return recorded poses, seconds since ``origin_ns``; repeated instants once. Orientations that were only
+    held or predicted (hidden markers, a silent module) are not known.
 
     source: what errors call it. Raises ``GatewayError`` for fewer than two instants, and where next to
     nothing of the time was recorded.

@@ -43,7 +43,8 @@ class WorldAlignment(NamedTuple):
 
 
 def align_world(q: FloatArray, q_reference: FloatArray, with_mounting: bool = True) -> WorldAlignment:
-    """Heading, common to all segments, and mounting of each, that bring ``q`` (T, S, 4) nearest to the other.
+    """Return the heading, common to all segments, and mounting of each, that bring ``q`` (T, S, 4) nearest to
+    the other.
 
     For every heading the best mountings are known in closed form; of the headings the best is searched for,
     all round. with_mounting: else all mountings are the identity. Instants at which either is NaN are left

@@ -157,7 +157,8 @@ def _floor(
     inertia: BodyInertia,
     progress_of: ProgressOf,
 ) -> FloorForces:
-    """Measured where it was, estimated elsewhere if the body is whole, has feet, and the floor is level."""
+    """Return measured where it was, estimated elsewhere if the body is whole, has feet, and the floor is
+    level."""
     on = feet(motion.skeleton)
     frames = len(motion.time_s)
     is_level = known is None or np.ptp(known.height_m) < LEVEL_M

@@ -24,7 +24,7 @@ def write_film(
     slower: float = 1.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
-    """How many pictures were written into ``target`` (.webm). slower: 4 for a quarter of the speed.
+    """Write pictures into ``target`` (.webm); return how many. slower: 4 for a quarter of the speed.
 
     Raises ``GatewayError`` without opencv, or when the file cannot be written.
     """

@@ -82,7 +82,7 @@ def _gait_panel(panel: object, curve: GaitCurve) -> None:
 
 
 def floor(found: Analysis) -> bytes:
-    """Force on each foot as a share of weight, and what no force explains."""
+    """Return the force on each foot as a share of weight, and what no force explains."""
     count = len(found.floor.segments)
     figure, axes = panels(count + 1, 2.6)
     for c, segment in enumerate(found.floor.segments.tolist()):
@@ -109,7 +109,7 @@ def centre_of_mass(found: Analysis) -> bytes:
 
 
 def muscle_map(found: Analysis, muscles: MuscleResult) -> bytes:
-    """Activity of all muscles over time, a row a muscle."""
+    """Return the activity of all muscles over time, a row a muscle."""
     figure, axes = panels(1, 0.115 * len(muscles.names) + 1.0)
     image = axes[0].imshow(
         muscles.activity.T, aspect="auto", cmap="YlOrRd", vmin=0, vmax=1, interpolation="nearest",

@@ -59,8 +59,8 @@ class InverseDynamics:
         return forces
 
     def applied(self, segment: int, force: FloatArray, moment: FloatArray) -> FloatArray:
-        """Generalised forces of a force (3,) N and its moment (3,) N m about the world's origin on a
-        segment."""
+        """Return the generalised forces of a force (3,) N and its moment (3,) N m about the world's origin on
+        a segment."""
         into = np.zeros(self.model.nv)
         self._mujoco.mj_applyFT(
             self.model, self.data, force, moment, np.zeros(3), self._bodies[segment], into

@@ -100,7 +100,7 @@ class LiveMuscles:
         return inverse_dynamics(motion.part(reported), self._inertia, GRAVITY, floor)
 
     def _on_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Times (GRID,), q_wb (GRID, S, 4), root (GRID, 3), laid between the poses that came."""
+        """Return times (GRID,), q_wb (GRID, S, 4), root (GRID, 3), laid between the poses that came."""
         came = np.array([pose[0] for pose in self._poses])
         q_wb = np.array([pose[1] for pose in self._poses])
         flips = np.where(np.sum(q_wb[1:] * q_wb[:-1], axis=-1) < 0.0, -1.0, 1.0)

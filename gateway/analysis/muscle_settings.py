@@ -121,7 +121,7 @@ def _guide(
 
 
 def _read_table(path: Path) -> dict[str, FloatArray]:
-    """Columns of numbers by name; an empty field is NaN. Raises ``GatewayError``."""
+    """Return columns of numbers by name; an empty field is NaN. Raises ``GatewayError``."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             heads, *rows = csv.reader(file)

@@ -16,7 +16,7 @@ FORCES, LOADS = "ground_reaction.mot", "external_loads.xml"
 
 
 def write_loads(found: Analysis, folder: Path) -> list[Path]:
-    """Both files into a folder that exists; none for a body without feet. Raises ``OSError``."""
+    """Write both files into a folder that exists; none for a body without feet. Raises ``OSError``."""
     names = [body_name(found.skeleton.segment_names[s]) for s in found.floor.segments.tolist()]
     if not names:
         return []

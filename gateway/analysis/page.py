@@ -118,7 +118,7 @@ def _stride_table(found: Analysis) -> str:
 
 
 def _spread(values: list[float], digits: int) -> str:
-    """Mean, and standard deviation where there are several."""
+    """Return the mean, and standard deviation where there are several."""
     deviation = f" ± {np.std(values, ddof=1):.{digits}f}" if len(values) > 1 else ""
     return f"{np.mean(values):.{digits}f}{deviation}"
 

@@ -111,7 +111,7 @@ def _zeroed(plate: ForcePlate, rate_hz: float) -> ForcePlate:
 
 
 def _in_world(plate: ForcePlate, vertical: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Force (N, 3) N, moment about the world's origin (N, 3) N m, centre of pressure (N, 3) m."""
+    """Return force (N, 3) N, moment about the world's origin (N, 3) N m, centre of pressure (N, 3) m."""
     stacked = np.stack(
         [plate.force, plate.moment + np.cross(plate.centre, plate.force), plate.centre_of_pressure()], axis=1
     )

@@ -126,7 +126,7 @@ def rotation_derivatives(
 
 
 def product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Hamilton products of quaternions (…, 4)."""
+    """Return Hamilton products of quaternions (…, 4)."""
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
     turned: FloatArray = np.stack(

@@ -23,8 +23,10 @@ WRITERS = {"csv": write_csv_columns, "parquet": write_parquet_columns}
 
 
 def write_tables(found: Analysis, muscles: MuscleResult | None, folder: Path, kind: str) -> list[Path]:
-    """All tables into a folder that exists. kind: of ``WRITERS``. Raises ``OSError``, and ``GatewayError``
-    for Parquet without its extra."""
+    """Write all tables into a folder that exists, and return the files. kind: of ``WRITERS``.
+
+    Raises ``OSError``, and ``GatewayError`` for Parquet without its extra.
+    """
     written = []
     made = tables(found, muscles)
     events = gait_events(found.skeleton, found.floor, found.time_s)

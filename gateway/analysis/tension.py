@@ -35,7 +35,7 @@ class TensionSolver:
     def solve(
         self, arms: FloatArray, torques: FloatArray, bias: FloatArray, weight: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Activity (W,) from 0 to 1, and torque left over (R,) N m.
+        """Return activity (W,) from 0 to 1, and torque left over (R,) N m.
 
         arms: (R, W) N m for one newton in each muscle. torques: (R,) N m. bias: (W,) from 0 to 1.
         weight: (W,) of this instant; None: as told at first. Raises ``GatewayError`` without a solution.

@@ -98,7 +98,8 @@ def _steady(found: FloatArray, before: FloatArray, lock: float, handed: float, l
 
 @compiled
 def _half_angles(q: FloatArray, axes: IntArray) -> tuple[float, float, float, float, float]:
-    """Half sum and half difference of ``handed · first`` and third, middle in [0, π], handed, middle's shift.
+    """Return half sum and half difference of ``handed · first`` and third, middle in [0, π], handed, middle's
+    shift.
 
     The source's rotations are about fixed axes, ours about moving ones: its first is our third.
     """

@@ -100,7 +100,7 @@ def _refined(w1: FloatArray, w2: FloatArray, start: FloatArray) -> HingeAxes:
 
 
 def _direction(p: FloatArray) -> FloatArray:
-    """Inclination and azimuth to a unit vector."""
+    """Return inclination and azimuth as a unit vector."""
     c = np.cos(p[0])
     return np.array([c * np.cos(p[1]), c * np.sin(p[1]), np.sin(p[0])])
 

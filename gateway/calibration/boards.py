@@ -110,7 +110,8 @@ def find_board(board: Board, picture: Picture) -> BoardView | None:
 
 
 def _checkerboard(grey: Picture, size: tuple[int, int]) -> FloatArray | None:
-    """Inner corners (n, 2), fractions of a pixel. Two detectors: each misses boards that the other finds."""
+    """Return the inner corners (n, 2), fractions of a pixel. Two detectors: each misses boards that the other
+    finds."""
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
     is_found, corners = cv2.findChessboardCorners(grey, size, flags=flags)
     if not is_found:

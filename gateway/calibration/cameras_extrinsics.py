@@ -111,8 +111,8 @@ def _chained(seen: Sequence[Mapping[int, Pose]], n: int) -> tuple[list[Pose | No
 def _adjusted(
     board: Board, lenses: Sequence[Lens], instants: Sequence[Views], start: FloatArray
 ) -> FloatArray:
-    """Camera and board poses (n, 6) that bring all corners nearest to where they were seen; the first board
-    stays."""
+    """Return camera and board poses (n, 6) that bring all corners nearest to where they were seen; the first
+    board stays."""
     n = len(lenses)
     free = np.ones(len(start), dtype=bool)
     # The first board is the world: moving everything together changes no picture.

@@ -108,7 +108,7 @@ def calibrate_cameras(
 
 
 def _size(name: str, pictures: Sequence[BoardPicture]) -> tuple[int, int]:
-    """Width and height, the same of all."""
+    """Return the width and height, the same of all."""
     sizes = {(each.picture.shape[1], each.picture.shape[0]) for each in pictures}
     if len(sizes) != 1:
         listed = ", ".join(f"{width}×{height}" for width, height in sorted(sizes))

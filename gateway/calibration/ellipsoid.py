@@ -186,7 +186,7 @@ def _packed(matrix: FloatArray, shape: Shape, rows: IntArray, columns: IntArray)
 
 
 def _sigma(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Standard deviations of the parameters; inf where the data leave them open."""
+    """Return standard deviations of the parameters; inf where the data leave them open."""
     freedom = max(len(residuals) - jacobian.shape[1], 1)
     normal = jacobian.T @ jacobian
     if np.linalg.cond(normal) > 1e14:

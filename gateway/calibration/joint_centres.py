@@ -51,7 +51,7 @@ class Side:
 
 
 def side(force: FloatArray, rate: FloatArray, R_es: FloatArray, interval_s: float) -> Side:
-    """Force and rate (n, 3) smoothed alike, so that the derivative belongs to both."""
+    """Return force and rate (n, 3) smoothed alike, so that the derivative belongs to both."""
     smooth_rate, smooth_force = _smoothed(rate), _smoothed(force)
     derivative = np.gradient(smooth_rate, interval_s, axis=0)
     return Side(smooth_force, lever_matrix(smooth_rate, derivative), R_es)

@@ -75,7 +75,8 @@ def gyroscope_bias(stretches: Sequence[RestStretch], wanted_s: float = 3.0) -> G
 
 
 def _wander(stretches: Sequence[RestStretch], bias: FloatArray) -> float:
-    """Largest departure of half-second means from the bias, the noise of a mean left out, rad/s."""
+    """Return the largest departure of half-second means from the bias, the noise of a mean left out,
+    rad/s."""
     windows = [rate for stretch in stretches for _, _, rate in stretch.windows]
     smoothed = [np.mean(windows[i : i + 3], axis=0) for i in range(max(len(windows) - 2, 1))]
     return float(np.abs(np.array(smoothed) - bias).max())

@@ -161,7 +161,7 @@ def _naming(task: CameraTask) -> Iterator[None]:
 
 
 def _pictures(task: CameraTask, source: PictureSource) -> Iterator[tuple[int, int, Picture]]:
-    """Index, instant in ns and picture, after those that are left out."""
+    """Yield index, instant in ns and picture, after those that are left out."""
     with _naming(task):
         for index, (time_ns, picture) in enumerate(source):
             if index >= task.skip:
@@ -169,7 +169,7 @@ def _pictures(task: CameraTask, source: PictureSource) -> Iterator[tuple[int, in
 
 
 def instant_of(task: CameraTask, info: PictureInfo, index: int, time_ns: int) -> tuple[int, int]:
-    """Sequence and time of a picture.
+    """Return sequence and time of a picture.
 
     Live, the sequence counts intervals since the epoch: cameras of one clock then agree on it.
     """

@@ -62,7 +62,7 @@ def live_table(session: BodySession, step: Step | None, live: Sequence[Livelines
 
 
 def modules_of(session: BodySession) -> list[tuple[int, str]]:
-    """Module id and segment, in the order of the rig."""
+    """Return module id and segment, in the order of the rig."""
     suit = session.suit
     segments = {
         int(row): name for row, name in zip(suit.module_of_segment, suit.skeleton.segment_names, strict=True)

@@ -315,7 +315,7 @@ async def _page(
 
 
 def table_of(rows: list[Row]) -> Table:
-    """The overview for the terminal."""
+    """Return the overview for the terminal."""
     bad = sum(bool(row.alerts) for row in rows)
     online = sum(row.state == "online" for row in rows)
     table = Table(title=f"{len(rows)} gateways, {online} online, {bad} with alerts", title_justify="left")

@@ -130,7 +130,7 @@ class DelayFloor:
     def _at(
         self, newest_us: int, elapsed_s: FloatArray, delays_us: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """State and covariance before packets are taken in, at the newest of them."""
+        """Return state and covariance before packets are taken in, at the newest of them."""
         if self._time_us is None:
             return np.array([delays_us.min(), self._x[1]]), self._P
         walk, since_s = self._walk, (newest_us - self._time_us) * 1e-6

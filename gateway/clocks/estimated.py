@@ -241,7 +241,7 @@ class EstimatedClock(Row):
         return slot_us
 
     def figures(self) -> ClockFigures:
-        """Offset, rate and their uncertainty at the newest sample."""
+        """Return offset, rate and their uncertainty at the newest sample."""
         newest_us = self.newest_us - self._start_us
         back, round_trip, bound_us = self._back, self._round_trip, None
         sigma_us = back.sigma_us if back.is_known else 0.0

@@ -94,7 +94,7 @@ def _log_posterior(
 def predict(
     x: FloatArray, P: FloatArray, dt: float, offset_walk: float, rate_walk: float
 ) -> tuple[FloatArray, FloatArray]:
-    """State (2,) and covariance (2, 2) so many seconds later.
+    """Return state (2,) and covariance (2, 2) so many seconds later.
 
     offset_walk: µs²/s, rate_walk: ppm²/s, variance of their changes.
     """
@@ -113,7 +113,7 @@ def _derivatives(
     c: float, r: float, x: FloatArray, A: FloatArray, t: FloatArray, d: FloatArray, weight: FloatArray,
     m: float, slot: float, corner: float,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Gradient (2,) of the log posterior and its information (2, 2) at a line."""
+    """Return the gradient (2,) of the log posterior and its information (2, 2) at a line."""
     g, H = np.empty(2), A.copy()
     g[0] = -(A[0, 0] * (c - x[0]) + A[0, 1] * (r - x[1]))
     g[1] = -(A[0, 1] * (c - x[0]) + A[1, 1] * (r - x[1]))
@@ -157,7 +157,8 @@ def _most_likely(
     x: FloatArray, A: FloatArray, t: FloatArray, d: FloatArray, weight: FloatArray, c: float, r: float,
     m: float, slot: float, corner: float,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """State (2,) and covariance (2, 2) by Newton's method from a line; a step that loses is shortened."""
+    """Return state (2,) and covariance (2, 2) by Newton's method from a line; a step that loses is
+    shortened."""
     value = _log_posterior(c, r, x, A, t, d, weight, m, slot, corner)
     P = _inverse(A)
     for _ in range(_ITERATIONS):

@@ -69,7 +69,7 @@ class ClockTable:
         object.__setattr__(self, "_counts_us", counts)  # derived once; the class stays frozen
 
     def reference_us(self, module: int, counted_us: float) -> float:
-        """Reference time since a common start, of a module's own count since then, µs.
+        """Return the reference time since a common start, of a module's own count since then, µs.
 
         Between the table's entries it goes straight; after the last (and before the start) it goes on at
         the last (first) interval's rate. A module that the table does not name is taken at its word.

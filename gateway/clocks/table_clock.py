@@ -85,7 +85,7 @@ class TableClock:
         return float(self._estimate.newest_us)
 
     def count_us(self, time_ns: int) -> float:
-        """Reference time since the start at a gateway time."""
+        """Return the reference time since the start at a gateway time."""
         return self._estimate.count_us(time_ns)
 
     def instant_ns(self, corrected_us: float) -> int:

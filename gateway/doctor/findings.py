@@ -57,7 +57,7 @@ def describe_interface(interface: str) -> str | None:
 
 
 def free_bytes(folder: Path) -> int:
-    """Room on the disk that a folder is on. Raises ``OSError``."""
+    """Return the room on the disk that a folder is on. Raises ``OSError``."""
     return shutil.disk_usage(folder).free
 
 

@@ -50,7 +50,7 @@ async def examined(service: Service, here: Surroundings | None = None) -> dict[s
 
 
 def ports_of(links: list[LinkSettings], here: Surroundings) -> list[dict[str, str | None]]:
-    """Serial ports and CAN interfaces that are there, and the name of the link that uses each."""
+    """Return serial ports and CAN interfaces that are there, and the name of the link that uses each."""
     # Names under /dev/serial/by-id are links: both are compared as what they lead to.
     users = {str(Path(device).resolve()): link.name for link in links if (device := device_of(link.url))}
     found: list[dict[str, str | None]] = [

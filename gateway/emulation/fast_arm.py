@@ -173,7 +173,7 @@ def _with_positions(
 
 
 def _bent_field(positions: FloatArray, field: FloatArray) -> FloatArray:
-    """World field at places (T, n, 3) near a dipole half a metre beside the base, µT."""
+    """Return world field at places (T, n, 3) near a dipole half a metre beside the base, µT."""
     moment = np.array([3.0, -2.0, 1.5])
     away = positions - np.array([0.6, -0.5, -0.4])
     distance = np.linalg.norm(away, axis=-1, keepdims=True)

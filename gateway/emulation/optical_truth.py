@@ -163,7 +163,7 @@ def _motion(body: Skeleton, seconds: float, generator: np.random.Generator) -> t
 
 
 def _raised(times: FloatArray, ease: FloatArray, generator: np.random.Generator) -> FloatArray:
-    """Plane of elevation, elevation, rotation of an arm."""
+    """Return the plane of elevation, elevation, rotation of an arm."""
     swing = [
         np.sin(2 * np.pi * generator.uniform(0.2, 0.5) * times + generator.uniform(0, 6.28)) for _ in range(3)
     ]
@@ -341,10 +341,10 @@ def _length_spread(fitted: Fit, q_wb: FloatArray) -> float:
 
 
 def rms_of(errors: list[FloatArray]) -> float:
-    """Root mean square of all, NaN left out."""
+    """Return the root mean square of all, NaN left out."""
     return rms(np.concatenate([error.ravel() for error in errors]))
 
 
 def rms(errors: FloatArray) -> float:
-    """Root mean square, NaN left out."""
+    """Return the root mean square, NaN left out."""
     return float(np.sqrt(np.nanmean(errors**2)))

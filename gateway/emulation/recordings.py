@@ -51,14 +51,14 @@ class _Recorder:
 
 
 def imu_frames(recording: RecordedTracks, suit: WornSuit) -> list[ImuFrame]:
-    """Assembled frames, to be given to several reconstructors."""
+    """Return assembled frames, to be given to several reconstructors."""
     recorder = _Recorder()
     _play(recording, suit, recorder)
     return recorder.imu_frames
 
 
 def solve(recording: RecordedTracks, suit: WornSuit, reconstructor: str) -> list[SkeletonFrame]:
-    """Skeleton frames at the recording's sampling rate; its modules' clocks are taken as one."""
+    """Return skeleton frames at the recording's sampling rate; its modules' clocks are taken as one."""
     return _play(recording, suit, create_reconstructor(reconstructor, suit, 1.0 / recording.sampling_rate_hz))
 
 

@@ -103,7 +103,7 @@ def _folders(site: str, day: str, wearer: str) -> tuple[str, str, str]:
 
 
 def day_of(utc_ns: int) -> str:
-    """The day of an instant, UTC."""
+    """Return the day of an instant, UTC."""
     return datetime.fromtimestamp(utc_ns * 1e-9, UTC).strftime("%Y-%m-%d")
 
 
@@ -115,7 +115,7 @@ def checked_name(what: str, name: str) -> str:
 
 
 def parquet() -> Any:
-    """The Parquet library. Raises ``ArchiveError`` with the command that installs it."""
+    """Return the Parquet library. Raises ``ArchiveError`` with the command that installs it."""
     try:
         import pyarrow.parquet  # noqa: PLC0415 - an extra
     except ImportError:
@@ -212,7 +212,7 @@ class Archive:
             yield
 
     def part(self, partition: Partition, name: str) -> Path:
-        """Where a file of rows lies, or would."""
+        """Return where a file of rows lies, or would."""
         return self.poses / partition.folder / f"{name}.parquet"
 
     def write(self, path: Path, columns: Mapping[str, Any], provenance: Mapping[str, object]) -> None:
@@ -411,7 +411,7 @@ def _metadata_of(path: Path) -> Any:
 
 
 def digest_of(path: Path) -> str:
-    """SHA-256 of a file."""
+    """Return the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

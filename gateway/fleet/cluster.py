@@ -82,7 +82,7 @@ def _user(name: str, password: str, base_topic: str) -> str:
 
 
 def _is_ready(node: Node) -> bool:
-    """Whether a node serves, and the cluster has a leader for what is kept."""
+    """Return whether a node serves, and the cluster has a leader for what is kept."""
     try:
         with urllib.request.urlopen(f"http://127.0.0.1:{node.monitor_port}/healthz", timeout=1) as answer:
             return bool(answer.status == HTTPStatus.OK)
@@ -134,7 +134,10 @@ def write_users(
 
 
 def program() -> str:
-    """Where the NATS server is: that of the extra, else that of the system. Raises ``GatewayError``."""
+    """Return where the NATS server is: that of the extra, else that of the system.
+
+    Raises ``GatewayError``.
+    """
     beside = Path(sys.executable).with_name("nats-server")
     found = str(beside) if beside.exists() else shutil.which("nats-server")
     if found is None:

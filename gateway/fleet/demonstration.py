@@ -45,7 +45,7 @@ class DemoFleet:
         self.processes: list[subprocess.Popen[bytes]] = []
 
     def settings(self, user: str = READER, first: int = 0) -> MqttSettings:
-        """How a user reaches the cluster; first: the node that is tried first."""
+        """Return how a user reaches the cluster; first: the node that is tried first."""
         here, *others = self.cluster.addresses(first)
         host, _, port = here.rpartition(":")
         late = LateSettings(folder=self._folder / "late")
@@ -100,7 +100,7 @@ class DemoFleet:
             )
 
     def trouble(self) -> str | None:
-        """What a process of light gateways said that ended by itself; None: all run."""
+        """Return what a process of light gateways said that ended by itself; None: all run."""
         for process, log in zip(self.processes, sorted(self._folder.glob("light_*.log")), strict=True):
             if process.poll() is not None:
                 return log.read_text(errors="replace").strip().rpartition("\n")[2] or "it said nothing"

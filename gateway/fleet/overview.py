@@ -293,5 +293,5 @@ def take_into(fleet: Fleet) -> Take:
 
 
 def as_plain(rows: list[Row]) -> list[dict[str, Any]]:
-    """Rows as JSON values."""
+    """Return rows as JSON values."""
     return [asdict(row) for row in rows]

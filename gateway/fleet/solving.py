@@ -46,7 +46,7 @@ class Solved:
 
 
 def jobs_of(archive: Archive, method: str) -> list[Solving]:
-    """A job for every recording that is kept. Raises ``ArchiveError`` when there is none."""
+    """Return a job for every recording that is kept. Raises ``ArchiveError`` when there is none."""
     jobs = [Solving(archive.folder.resolve(), path.resolve(), method) for path in archive.kept_recordings()]
     if not jobs:
         raise ArchiveError(

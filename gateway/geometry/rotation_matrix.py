@@ -162,7 +162,7 @@ def from_two_vectors(
 
 @compiled
 def _triad(primary: FloatArray, secondary: FloatArray) -> FloatArray:
-    """Orthonormal rows: along the primary, across both, and what completes them."""
+    """Return orthonormal rows: along the primary, across both, and what completes them."""
     T, across = np.empty((3, 3)), cross(primary, secondary)
     length, across_length = norm(primary), norm(across)
     lengths = length * norm(secondary)

@@ -84,7 +84,7 @@ def write_imported(
     target: Path,
     progress: Progress | None = None,
 ) -> Imported:
-    """Chunks, poses, statistics and where they came from, as ``target``.
+    """Write chunks, poses, statistics and where they came from, as ``target``.
 
     Raises ``RecordingError`` when that exists, OSError as ``open`` does.
     """

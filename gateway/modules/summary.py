@@ -75,7 +75,7 @@ class Counts(NamedTuple):
 
 
 def segments_of(suit: WornSuit) -> dict[str, int]:
-    """Module id by segment, for the segments that wear one."""
+    """Return module id by segment, for the segments that wear one."""
     worn = zip(suit.skeleton.segment_names, suit.module_of_segment.tolist(), strict=True)
     return {name: suit.module_ids[row] for name, row in worn if row >= 0}
 
@@ -272,7 +272,7 @@ class ModuleStates:
         self._started_ns: int | None = None
 
     def look(self, now_ns: int) -> Iterator[tuple[str, Message]]:
-        """Yield topics (below the gateway's) and messages that are due. Call it a few times a second."""
+        """Yield the topics (below the gateway's) and messages that are due. Call it a few times a second."""
         if self._started_ns is None:
             self._started_ns = now_ns
         # Modules appear whenever they are heard first.

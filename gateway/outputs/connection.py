@@ -111,7 +111,7 @@ class Allowance:
         self._at_s = -math.inf
 
     def takes(self, now_s: float) -> bool:
-        """Whether one more is within it; it then counts."""
+        """Return whether one more is within it; it then counts."""
         gained = (now_s - self._at_s) * self._rate if math.isfinite(self._at_s) else 0.0
         self._left = min(float(self._burst), self._left + max(gained, 0.0))
         self._at_s = now_s
@@ -195,7 +195,7 @@ def publish_unawaited(
 
 
 def explain(error: BaseException, settings: MqttSettings, port: int) -> str:
-    """One line: what went wrong with the broker, and what would do. Never holds the password."""
+    """Return one line: what went wrong with the broker, and what would do. Never holds the password."""
     where = f"{settings.host}:{port}"
     if isinstance(error, CredentialError):
         return str(error)
@@ -390,7 +390,7 @@ def _read_all(client: aiomqtt.Client) -> None:
 
 
 def _wishes(settings: MqttSettings) -> Properties | None:
-    """What a broker that speaks MQTT 5 is told on connecting: the largest packet that we take."""
+    """Return what a broker that speaks MQTT 5 is told on connecting: the largest packet that we take."""
     if settings.protocol_in_use != "5":
         return None
     properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
@@ -438,7 +438,7 @@ def _hang_up(client: aiomqtt.Client) -> None:
 
 
 def unique_identifier(role: str) -> str:
-    """A client identifier that no other client has: two with the same push each other out for ever."""
+    """Return a client identifier that no other client has: two with the same push each other out for ever."""
     return f"mocap-{role}-{secrets.token_hex(4)}"
 
 

@@ -35,7 +35,10 @@ class DatagramSender:
         self._socket.setblocking(False)
 
     def send(self, datagrams: Sequence[bytes]) -> bool:
-        """Whether the system took all. Raises ``OSError``, such as for a network that is away."""
+        """Send all; return whether the system took them.
+
+        Raises ``OSError``, such as for a network that is away.
+        """
         assert self._socket is not None
         try:
             for datagram in datagrams:
@@ -71,7 +74,10 @@ class DatagramSink:
         await self._sender.open()
 
     def send(self, frame: SkeletonFrame) -> bool:
-        """Whether the system took all datagrams. Raises ``OSError``, such as for a network that is away."""
+        """Send a frame; return whether the system took it.
+
+        Raises ``OSError``, such as for a network that is away.
+        """
         return self._sender.send(self._encoder.encode(frame))
 
     def close(self) -> None:

@@ -46,7 +46,8 @@ _FAREWELL_S = 0.1
 
 
 def broker_config(websocket_port: int | None = None) -> BrokerConfig:
-    """Anonymous clients, no ``$SYS`` messages, no packet log (amqtt's defaults have both)."""
+    """Return a configuration for anonymous clients, no ``$SYS`` messages, no packet log (amqtt's defaults
+    have both)."""
     # "external": the sockets are ours, so that a free port can be found and a busy one reported.
     listeners = {"default": ListenerConfig(type=ListenerType.EXTERNAL, bind=HOST)}
     if websocket_port is not None:
@@ -58,7 +59,8 @@ def broker_config(websocket_port: int | None = None) -> BrokerConfig:
 
 
 def admits(hosts: Collection[str], origins: Collection[str], allowed: Collection[str]) -> bool:
-    """Whether a WebSocket with these ``Host`` and ``Origin`` headers may open; programs send no origin."""
+    """Return whether a WebSocket with these ``Host`` and ``Origin`` headers may open; programs send no
+    origin."""
     if len(hosts) != 1 or len(origins) > 1:
         return False
     origin = next(iter(origins), None)
@@ -140,7 +142,7 @@ async def _end_of_input() -> None:
 
 
 def explain(error: Exception, port: int, websocket_port: int | None) -> str:
-    """One line: why the broker did not start, and what would do."""
+    """Return one line: why the broker did not start, and what would do."""
     cause = error.__cause__ or error
     if isinstance(cause, OSError) and cause.errno == errno.EADDRINUSE:
         taken = f"port {port}" if cause is error else f"WebSocket port {websocket_port}"

@@ -24,7 +24,7 @@ class Thinning:
         self._due_ns = 0
 
     def admits(self, time_ns: int) -> bool:
-        """Whether the value of this instant is to be kept. Time that runs backwards starts afresh."""
+        """Return whether the value of this instant is to be kept. Time that runs backwards starts afresh."""
         if time_ns < self._last_ns:
             self._due_ns = time_ns
         self._last_ns = time_ns

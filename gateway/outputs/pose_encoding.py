@@ -41,17 +41,17 @@ Plain = dict[str, Any]
 
 
 def as_json(message: Plain) -> bytes:
-    """A message as JSON."""
+    """Return a message as JSON."""
     return orjson.dumps(message)
 
 
 def as_msgpack(message: Plain) -> bytes:
-    """The same fields as MessagePack."""
+    """Return the same fields as MessagePack."""
     return ormsgpack.packb(message)
 
 
 def segment_messages(pose: Plain) -> Iterator[tuple[str, Plain]]:
-    """The fields of a ``SegmentMessage`` for every segment of a pose, by name."""
+    """Yield the fields of a ``SegmentMessage`` for every segment of a pose, by name."""
     head = {key: pose[key] for key in ("t_ns", "seq", "frame", "order")}
     maps: list[str] = [name.value for name in _ATTRIBUTES if name.value in pose]
     for name, orientation in pose["segments"].items():
@@ -90,7 +90,7 @@ class PoseEncoder:
             self._rounded[attribute] = np.empty(_shape_of(attribute, len(segment_names)))
 
     def encode(self, frame: SkeletonFrame) -> bytes:
-        """JSON bytes of a ``PoseMessage``. Raises ``ValueError`` for a frame of another skeleton."""
+        """Return JSON bytes of a ``PoseMessage``. Raises ``ValueError`` for a frame of another skeleton."""
         text = None if self._joint_angles is not None else self._usual_text(frame)
         return as_json(self.message(frame)) if text is None else text
 
@@ -136,7 +136,7 @@ class PoseEncoder:
         return b"{" + b",".join(parts) + b"}"
 
     def message(self, frame: SkeletonFrame) -> Plain:
-        """The fields of a ``PoseMessage``. Raises ``ValueError`` for a frame of another skeleton."""
+        """Return the fields of a ``PoseMessage``. Raises ``ValueError`` for a frame of another skeleton."""
         message: Plain = {
             "t_ns": frame.time_ns,
             "seq": frame.sequence,
@@ -154,7 +154,7 @@ class PoseEncoder:
         return message
 
     def _rows(self, values: FloatArray) -> list[object]:
-        """Rows as JSON values; a row that is not finite throughout is None."""
+        """Return rows as JSON values; a row that is not finite throughout is None."""
         # Adding zero makes -0.0 a plain 0.0.
         rounded = values if self._decimals is None else np.round(values, self._decimals) + 0.0
         rows: list[object] = rounded.tolist()
@@ -165,7 +165,7 @@ class PoseEncoder:
         return [row if defined else None for row, defined in zip(rows, is_defined, strict=True)]
 
     def _joints(self, joint_angles: JointAngles, q_wb: FloatArray) -> dict[str, object]:
-        """Angles in degrees by joint and name, and the joints whose angles need care."""
+        """Return angles in degrees by joint and name, and the joints whose angles need care."""
         found = joint_angles.update(q_wb)
         rows = np.degrees(found.angles)
         rounded = (
@@ -211,7 +211,7 @@ _DECIMALS = 6  # a micrometre: less than any optical system resolves
 
 
 def markers_message(labels: tuple[str, ...], frame: SkeletonFrame) -> dict[str, Any] | None:
-    """The fields of a ``MarkersMessage``; None for a pose that was made of something else, or of no marker.
+    """Return the fields of a ``MarkersMessage``; None for a pose made of something else, or of no marker.
 
     labels: of the fitted body, in the order of the fit. Raises ``ValueError`` for another number of them.
     """
@@ -237,7 +237,7 @@ def markers_message(labels: tuple[str, ...], frame: SkeletonFrame) -> dict[str, 
 
 
 def _places(places: FloatArray) -> list[list[float] | None]:
-    """Rows as JSON values; None for one that is not known."""
+    """Return rows as JSON values; None for one that is not known."""
     rounded = np.round(places, _DECIMALS) + 0.0
     rows: list[list[float]] = rounded.tolist()
     known: list[bool] = np.logical_and.reduce(np.isfinite(rounded), axis=1).tolist()

@@ -109,7 +109,7 @@ class RequestLine:
         self._complained_s = -math.inf
 
     def is_as(self, other: RequestLine) -> bool:
-        """Whether it leads to the same requests."""
+        """Return whether it leads to the same requests."""
         return (self.settings, self.topics) == (other.settings, other.topics)
 
     def open(self, port: int, take: Callable[[aiomqtt.Message], Awaitable[None]]) -> None:
@@ -318,7 +318,8 @@ class RequestResponder:
         return address[1].removeprefix(topics.BRIDGE_REQUEST).removeprefix("/")[:_LONGEST_VERB]
 
     def _way_back(self, message: aiomqtt.Message, verb: str) -> tuple[str, bytes | None]:
-        """Topic and correlation data of the answer: those asked for with MQTT 5, where that is harmless."""
+        """Return the topic and correlation data of the answer: those asked for with MQTT 5, where that is
+        harmless."""
         properties = message.properties
         wanted = getattr(properties, "ResponseTopic", None)
         correlation = getattr(properties, "CorrelationData", None)
@@ -331,8 +332,8 @@ class RequestResponder:
         return wanted, correlation if is_short else None
 
     def _may_be_answered_at(self, topic: object) -> bool:
-        """Whether an answer there can be taken for nothing else: the gateway may publish where those who ask
-        may not, and is not to switch lamps for them."""
+        """Return whether an answer there can be taken for nothing else: the gateway may publish where those
+        who ask may not, and is not to switch lamps for them."""
         if not isinstance(topic, str) or len(topic) > _LONGEST_TOPIC or set(topic) & set("+#\0"):
             return False
         allowed = (self._topics.response(""), *(f"{prefix}/" for prefix in self._settings.response_topics))

@@ -57,7 +57,10 @@ class RetargetSink:
             await self._node.open()
 
     def send(self, frame: SkeletonFrame) -> bool:
-        """Whether the robot has a pose, and all took it. Raises ``GatewayError``, ``OSError``."""
+        """Send a frame; return whether the robot has a pose, and all took it.
+
+        Raises ``GatewayError``, ``OSError``.
+        """
         pose = self._solver.solve(frame)
         if pose is None:
             return False

@@ -300,11 +300,14 @@ class MqttSettings(Strict):
         return self
 
     def read_password(self) -> str | None:
-        """The password: first line of ``password_file``, else the environment. Raises ``CredentialError``."""
+        """Return the password: first line of ``password_file``, else the environment.
+
+        Raises ``CredentialError``.
+        """
         return read_secret(self.password_file, PASSWORD_VARIABLE, "password_file")
 
     def read_websocket_token(self) -> AccessToken | None:
-        """What a WebSocket client of the embedded broker must show to publish; None: none can. Raises
+        """Return what a WebSocket client of the embedded broker must show to publish; None: none can. Raises
         ``CredentialError``."""
         text = read_secret(self.websocket_token_file, WEBSOCKET_TOKEN_VARIABLE, "websocket_token_file")
         return None if text is None else AccessToken(text)

@@ -36,7 +36,7 @@ class Sink(Protocol):
         """Raises ``OutputError``."""
 
     def send(self, frame: SkeletonFrame) -> bool:
-        """Whether the system took all of it. May raise ``OSError``."""
+        """Send a frame; return whether the system took all of it. May raise ``OSError``."""
 
     def close(self) -> None:
         """Free what it holds."""

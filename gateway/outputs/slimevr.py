@@ -97,7 +97,10 @@ class SlimevrSink:
         self._tick()
 
     def send(self, frame: SkeletonFrame) -> bool:
-        """Whether the server is there and the system took all. Raises ``OSError``, such as for no network."""
+        """Send a frame; return whether the server is there and the system took it.
+
+        Raises ``OSError``, such as for no network.
+        """
         if not self.session.is_connected:
             return False
         parts: list[Part] = []

@@ -47,7 +47,7 @@ class StreamSink:
         self._connecting = asyncio.create_task(self._keep_connected())
 
     def send(self, frame: SkeletonFrame) -> bool:
-        """Whether somebody listens and took all that was sent before."""
+        """Send a frame; return whether somebody listens and took all that was sent before."""
         if self._transport is None or self._transport.get_write_buffer_size():
             return False
         self._transport.write(b"".join(self._encode(frame)))

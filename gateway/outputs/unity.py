@@ -59,12 +59,12 @@ _TO_NORTH = np.array([math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])
 
 
 def unity_vector(v_w: FloatArray) -> FloatArray:
-    """World to Unity axes; (..., 3)."""
+    """Return a vector in world axes as one in Unity axes; (..., 3)."""
     return v_w[..., [0, 2, 1]]
 
 
 def unity_rotation(q_w: FloatArray) -> FloatArray:
-    """A rotation in world axes as one in Unity axes: (..., 4) wxyz to (..., 4) xyzw."""
+    """Return a rotation in world axes as one in Unity axes: (..., 4) wxyz to (..., 4) xyzw."""
     converted: FloatArray = np.concatenate([-q_w[..., [1, 3, 2]], q_w[..., :1]], axis=-1)
     return converted
 
@@ -91,7 +91,8 @@ class Bone:
 
 
 def bones_of(skeleton: Skeleton) -> tuple[Bone, ...]:
-    """The bones that an avatar has for this body, parents first; empty for a body that is not a person's."""
+    """Return the bones that an avatar has for this body, parents first; empty for a body that is not a
+    person's."""
     names = skeleton.segment_names
     bones: list[Bone] = []
     of_segment: dict[int, int] = {}
@@ -190,7 +191,7 @@ class VmcEncoder:
         ]
 
     def encode(self, frame: SkeletonFrame) -> list[bytes]:
-        """The datagrams of one frame: state, time and root, then the bones."""
+        """Return the datagrams of one frame: state, time and root, then the bones."""
         if self._start_ns is None:
             self._start_ns = frame.time_ns
         seconds = (frame.time_ns - self._start_ns) * 1e-9

@@ -37,7 +37,7 @@ class Contents:
 
 
 def free_bytes(folder: Path) -> int:
-    """Room on the disk that a folder is on, as an ordinary user has it."""
+    """Return the room on the disk that a folder is on, as an ordinary user has it."""
     figures = os.statvfs(folder)
     return figures.f_bavail * figures.f_frsize
 

@@ -87,7 +87,7 @@ def solve(
     setup: SolvingSetup | None = None,
     progress: Progress | None = None,
 ) -> Iterator[SkeletonFrame]:
-    """Skeleton frames made anew from the recorded bytes; setup: None for what was recorded."""
+    """Yield skeleton frames made anew from the recorded bytes; setup: None for what was recorded."""
     chosen = setup or recorded_setup(recording)
     pipeline = recording_pipeline(recording, chosen)
     if not chosen.smoothed:

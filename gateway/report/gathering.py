@@ -170,7 +170,7 @@ def gather(recording: Recording, progress: Progress | None = None) -> Findings:
 
 
 def _names(suit: WornSuit | None) -> dict[int, str]:
-    """Module id to what carries it."""
+    """Return module id to what carries it."""
     if suit is None:
         return {}
     names = suit.skeleton.segment_names

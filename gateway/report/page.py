@@ -58,7 +58,7 @@ def loss(found: Findings) -> bytes:
 
 
 def clocks(found: Findings) -> bytes:
-    """Rate of every module's clock against the gateway's, and how far its stamps scatter."""
+    """Return the rate of every module's clock against the gateway's, and how far its stamps scatter."""
     figure, axes = panels(2, 3.4)
     shades = colours(len(found.modules))
     for module, colour in zip(found.modules, shades, strict=True):
@@ -71,7 +71,7 @@ def clocks(found: Findings) -> bytes:
 
 
 def orientations(poses: SkeletonArrays) -> bytes:
-    """Heading, pitch and roll of every segment against its neutral posture, degrees."""
+    """Return heading, pitch and roll of every segment against its neutral posture, degrees."""
     angles = _heading_pitch_roll(poses)
     return small_multiples(
         poses.time_s,
@@ -93,7 +93,7 @@ def joints(poses: SkeletonArrays, angles: FloatArray) -> bytes:
 
 
 def sigma(poses: SkeletonArrays) -> bytes:
-    """Standard deviation of the orientations, as the method itself judges it."""
+    """Return the standard deviation of the orientations, as the method itself judges it."""
     figure, axes = panels(1, 3.2)
     for s, colour in enumerate(colours(len(poses.segment_names))):
         axes[0].plot(

@@ -33,7 +33,7 @@ class LoadStage:
     poses_hz: float | None = None
     """Most poses published a second from here on; None: as configured."""
     solve_every: int = 1
-    """Of the frames, how many are reconstructed: every so manyeth."""
+    """Of the frames, how many are reconstructed: 1: every one, 2: every second, …"""
 
 
 SHED: tuple[LoadStage, ...] = (
@@ -95,7 +95,7 @@ class LoadWatch:
         return self.look(now_s)
 
     def look(self, now_s: float) -> bool:
-        """Time goes on, also when nothing comes. Whether the stage has changed."""
+        """Let time go on, also when nothing comes; return whether the stage has changed."""
         if now_s < self._tick_ends_s:
             return False
         is_first = self._tick_ends_s == -math.inf

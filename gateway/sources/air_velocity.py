@@ -26,7 +26,7 @@ LOWEST_PRESSURE, HIGHEST_PRESSURE = 20_000.0, 120_000.0
 def air_velocity(
     differential_pressure: Vector3, static_pressure: float, temperature_celsius: float | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Velocity along the tubes' axes and its standard deviation, (3,) each, m/s.
+    """Return the velocity along the tubes' axes and its standard deviation, (3,) each, m/s.
 
     Pressures in Pa. NaN where people could not breathe such air: the reading is damaged.
     """

@@ -145,7 +145,7 @@ class Assistant(StepTab):
         set_options(self._segment, (NOTHING, *names), segment_name(self._language, segment))
 
     def _chosen_device(self) -> str:
-        """Unique id of the module that is chosen; empty: none is."""
+        """Return the unique id of the module that is chosen; empty: none is."""
         return devices_of(self._listed or NO_MODULES, self._language).get(self._device.value, "")
 
     def _chosen_segment(self) -> str:

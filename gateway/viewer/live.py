@@ -60,7 +60,7 @@ COUNTED_DOWN = {"heading": "countdown_heading", "full": "countdown", "mounting":
 """Resets that want the wearer to stand somehow, who has to get there first; the text shown meanwhile."""
 COUNTDOWN_S = 3
 TEXTS_EVERY = 10
-"""Texts and plots are brought up to date with every so manyeth picture."""
+"""Texts and plots are brought up to date with one picture of so many."""
 
 
 class LiveViewer:

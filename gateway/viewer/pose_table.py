@@ -47,7 +47,8 @@ class Attitude(NamedTuple):
 
 
 def attitude(q_wb: Quaternion) -> Attitude:
-    """Cardan angles (z, y', x'') of a segment with ISB axes: x anterior, y superior, z to the right."""
+    """Return Cardan angles (z, y', x'') of a segment with ISB axes: x anterior, y superior, z to the
+    right."""
     w, x, y, z = q_wb
     anterior = (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y))
     superior_up = 2 * (y * z + w * x)
@@ -96,7 +97,7 @@ class PoseView:
         return latencies[len(latencies) // 2] if latencies else None
 
     def age_s(self, now_ns: int) -> float | None:
-        """Time since the last pose came; None before the first."""
+        """Return the time since the last pose came; None before the first."""
         return None if self.last is None else (now_ns - self.last.received_ns) * 1e-9
 
     def table(self, now_ns: int, state: str, with_quaternions: bool = False) -> Table:
@@ -112,7 +113,7 @@ class PoseView:
         return table
 
     def headline(self, now_ns: int, state: str) -> Text:
-        """Name, state, rate, latency and age in one line."""
+        """Return name, state, rate, latency and age in one line."""
         colour = {"online": "green", "offline": "red"}.get(state, "yellow")
         headline = Text.assemble((printable(self.gateway), "bold"), "  ", (state, colour))
         age = self.age_s(now_ns)

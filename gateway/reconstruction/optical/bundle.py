@@ -91,7 +91,7 @@ def adjusted(
 
 
 def _stiffness(model: BodyModel, trust: FloatArray) -> FloatArray:
-    """Inverse covariance of what is constant: joint offsets, then markers' places, (n, n), 1/m².
+    """Return the inverse covariance of what is constant: joint offsets, then markers' places, (n, n), 1/m².
 
     What lies on a segment, its markers and the joints it carries, keeps its shape, each by its own trust; the
     joint in which the segment hangs may move against all of them together, by the segment's trust.
@@ -128,7 +128,7 @@ def own_markers(model: BodyModel) -> IntArray:
 
 
 def weighted_rmse(poses: list[Pose]) -> float:
-    """Root mean square of the residuals, m, by their robust weights."""
+    """Return the root mean square of the residuals, m, by their robust weights."""
     robust_weights = np.array([pose.weights for pose in poses])
     squares = np.nan_to_num(np.array([pose.residuals for pose in poses])) ** 2
     return float(np.sqrt((robust_weights * squares).sum() / max(robust_weights.sum(), 1e-12)))

@@ -47,7 +47,7 @@ class JointRow(NamedTuple):
 
 @compiled
 def places(parents: IntArray, offsets: FloatArray, R: FloatArray, root: FloatArray) -> FloatArray:
-    """Proximal joints p_w (S, 3), m, from R (S, 3, 3) segment to world and the root's place (3,)."""
+    """Return proximal joints p_w (S, 3), m, from R (S, 3, 3) segment to world and the root's place (3,)."""
     p = np.empty((len(parents), 3))
     for s in range(len(parents)):
         p[s] = root if parents[s] < 0 else p[parents[s]] + rm.rotate(R[parents[s]], offsets[s])
@@ -174,7 +174,7 @@ def mirrored(H: FloatArray) -> None:
 
 @compiled
 def cholesky(A: FloatArray) -> bool:
-    """A ← its lower Cholesky factor, in place; False when A is not positive definite."""
+    """Replace A by its lower Cholesky factor; return False when A is not positive definite."""
     for j in range(len(A)):
         total = A[j, j]
         for k in range(j):

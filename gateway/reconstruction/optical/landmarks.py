@@ -239,7 +239,7 @@ class Landmarks:
         return _APPLY[rule.kind](self, getattr(rule, rule.kind))
 
     def line(self, ends: tuple[str, str]) -> tuple[FloatArray, FloatArray]:
-        """The two points of a line."""
+        """Return the two points of a line."""
         return self.point(ends[0]), self.point(ends[1])
 
     def length(self, value: Length) -> float:

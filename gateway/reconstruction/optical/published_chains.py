@@ -25,7 +25,7 @@ class Chain(NamedTuple):
 
 
 def chains_of(skeleton: Skeleton) -> list[Chain]:
-    """World → root; then every way from the root to a limb's end, cut where ways part.
+    """Return world → root; then every way from the root to a limb's end, cut where ways part.
 
     On a person that is: the root; each leg; waist to chest; chest to head; each arm with its clavicle. Any
     other tree is cut in the same way.

@@ -31,7 +31,7 @@ class PublishedTrial:
     seen: NDArray[np.bool_]  # (F, M); the method leaves nothing out
 
     def frames(self, times_ns: list[int]) -> Iterator[SkeletonFrame]:
-        """Skeleton frames at these F instants. ``sigma`` is NaN: the method gives none.
+        """Yield skeleton frames at these F instants. ``sigma`` is NaN: the method gives none.
 
         A segment is measured with a marker of its own in sight, else predicted; held with no marker at all.
         """

@@ -29,8 +29,8 @@ class Rates:
         self._poses.clear()
 
     def add(self, time_ns: int, R: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A pose R (S, 3, 3), p (S, 3) m: its angular rates (S, 3) rad/s in segment axes, and accelerations
-        (S, 3) m/s² in world axes. NaN until there are enough poses without a long gap."""
+        """Add a pose R (S, 3, 3), p (S, 3) m; return its angular rates (S, 3) rad/s in segment axes, and
+        accelerations (S, 3) m/s² in world axes. NaN until there are enough poses without a long gap."""
         if self._poses and not 0 < time_ns - self._poses[-1][0] < _LONGEST_GAP_NS:
             self._poses.clear()
         self._poses.append((time_ns, R, p))

@@ -154,7 +154,7 @@ def _mean_within(axes: FloatArray, vectors: FloatArray, otherwise: FloatArray) -
 
 
 def _scale(body: Skeleton, origins: FloatArray) -> float:
-    """How much larger than the body file the person is, by the bones that can be compared."""
+    """Return how much larger than the body file the person is, by the bones that can be compared."""
     pairs = [(s, p) for s, p in enumerate(body.parents.tolist()) if p >= 0]
     found = np.array([np.linalg.norm(origins[:, s] - origins[:, p], axis=1) for s, p in pairs])
     known = np.isfinite(found)

@@ -246,7 +246,8 @@ def _middle_posture(model: BodyModel, neutral: FloatArray) -> FloatArray:
 
 
 def _price(model: BodyModel, observed: FloatArray, pose: Pose) -> float:
-    """Half the squared distances of all markers, none worse than ``_HOPELESS``, and what the joints cost."""
+    """Return half the squared distances of all markers, none worse than ``_HOPELESS``, and what the joints
+    cost."""
     p = kernels.places(model.parents, model.offsets, pose.R, pose.root)
     joints = normal_equations(model, observed, np.zeros(len(observed)), pose.R, p)[2]
     expected = kernels.marker_places(model.segments, model.positions, pose.R, p)

@@ -65,7 +65,8 @@ def rays_through(model: CameraModel, maps: CameraHeatMaps) -> tuple[FloatArray, 
 def closest_pair(
     positions: FloatArray, directions: FloatArray, peaks: FloatArray, farthest: float
 ) -> tuple[FloatArray, float]:
-    """Midpoint (3,) of the shortest common perpendicular among all pairs of rays, and its length, m.
+    """Return the midpoint (3,) of the shortest common perpendicular among all pairs of rays, and its length,
+    m.
 
     positions, directions: (n_cameras, 3); peaks: (n_cameras,). NaN where no pair is nearer than ``farthest``.
     """

@@ -33,7 +33,8 @@ def camera_model(camera: Camera) -> CameraModel:
 
 @compiled
 def pixel(camera: CameraModel, x: float, y: float, z: float) -> tuple[float, float]:
-    """Pixel of a point in camera axes, as it stands in the distorted picture; NaN behind the camera."""
+    """Return the pixel of a point in camera axes, as it stands in the distorted picture; NaN behind the
+    camera."""
     if not z > 0.0:
         return math.nan, math.nan
     k, d = camera.matrix, camera.distortion

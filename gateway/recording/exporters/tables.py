@@ -20,7 +20,7 @@ _STATUS = np.array([status.name.lower() for status in Status])
 
 
 def columns(take: Take, units_per_m: float) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Name and values (F,) of every column. What was recorded is NaN in frames that were not."""
+    """Yield the name and values (F,) of every column. What was recorded is NaN in frames that were not."""
     unit = _LENGTHS.get(units_per_m, f"per_m_{units_per_m:g}")
     recorded = take.recorded
     # Row of the recorded frame by grid frame; -1 where nothing was recorded.
@@ -92,7 +92,7 @@ def write_parquet_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None
 
 
 def _at(values: NDArray[Any], row: NDArray[np.int64]) -> NDArray[Any]:
-    """Recorded values at every frame; NaN where none was recorded."""
+    """Return recorded values at every frame; NaN where none was recorded."""
     return np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
 
 
