@@ -86,7 +86,7 @@ def instant_of(
     return MarkerInstant(names, positions[seen], virtual[seen], used[seen], unlabelled[known])
 
 
-class RecordedMarkers:
+class FittedMarkers:
     """The markers of a recording that says what became of them."""
 
     def __init__(self, markers: MarkerArrays) -> None:
@@ -121,12 +121,10 @@ class ReceivedMarkers:
         )
 
 
-def recorded_markers(
-    recording: Recording, arrays: SkeletonArrays
-) -> RecordedMarkers | ReceivedMarkers | None:
+def recorded_markers(recording: Recording, arrays: SkeletonArrays) -> FittedMarkers | ReceivedMarkers | None:
     """Return the markers of a recording; None where no link carried any."""
     if arrays.markers is not None:
-        return RecordedMarkers(arrays.markers)
+        return FittedMarkers(arrays.markers)
     links = {name for name, content in recording.meta.links.items() if content == "markers"}
     if not links or recording.meta.suit.markers is None:
         return None

@@ -8,7 +8,7 @@ from gateway.frames import Status
 from gateway.recording import SkeletonArrays
 from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.ghost import Ghost
-from gateway.viewer.marker_points import MarkerScene, ReceivedMarkers, RecordedMarkers
+from gateway.viewer.marker_points import FittedMarkers, MarkerScene, ReceivedMarkers
 from gateway.viewer.module_table import recorded_rows, recorded_table
 from gateway.viewer.muscle_wires import ENOUGH_S, MuscleWires, muscle_wires
 from gateway.viewer.pace import pictures
@@ -32,7 +32,7 @@ class Playback:
         server: viser.ViserServer,
         arrays: SkeletonArrays,
         name: str,
-        markers: RecordedMarkers | ReceivedMarkers | None = None,
+        markers: FittedMarkers | ReceivedMarkers | None = None,
         muscles_kg: float | None = None,
         compared: SkeletonArrays | None = None,
     ) -> None:
