@@ -16,7 +16,7 @@ from gateway.viewer.module_table import clock_of
 from gateway.viewer.pose_table import attitude, bend_deg
 from gateway.viewer.series_plot import SeriesPlot
 from gateway.viewer.stage import STYLE, VIEWS, Stage
-from gateway.viewer.tab_names import rename
+from gateway.viewer.step_tab import rename
 from gateway.viewer.texts import ENGLISH, LANGUAGES, movement_name, segment_name, translated
 
 _UNDEFINED = float("nan")

@@ -14,7 +14,6 @@ from typing import Any
 import viser
 
 from gateway.errors import GatewayError
-from gateway.viewer.tab_names import rename
 from gateway.viewer.texts import ENGLISH, translated
 
 _log = logging.getLogger(__name__)
@@ -161,3 +160,9 @@ class StepTab(ABC):
         if (place := _PLACE.get()) is self._place:
             place.content = line(text)
             place.visible = True
+
+
+def rename(tabs: viser.GuiTabGroupHandle, tab: viser.GuiTabHandle, name: str) -> None:
+    """Call a tab of the group so from now on, on all pages: the library has no public way to it."""
+    tab._label = name
+    tabs._tab_labels = tuple(each._label for each in tabs._tab_handles)
