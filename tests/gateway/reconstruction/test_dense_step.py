@@ -355,15 +355,18 @@ class Checked:
         assert_close(joint.now.u, now.u + now.K @ e[:3])
         assert_close(joint.now.u_parent, now.u_parent + above.K @ e[3:])
 
-    def gather_heading(self, sums, u, y, variance, tuning, interval_s):
-        """(54), as a complex number."""
+    def gather_heading(self, sums, u, y, variance, share, tuning, interval_s):
+        """(54), as a complex number, and the sums of (55)."""
         before, pair = sums.copy(), complex(*y[:2]) * np.conj(complex(*u[:2])) / variance
-        kernels.gather_heading(sums, u, y, variance, tuning, interval_s)
+        kernels.gather_heading(sums, u, y, variance, share, tuning, interval_s)
         self.compared["heading"] += 1
         keep = np.exp(-interval_s / tuning.heading_forgets_s)
         found = keep * complex(before.along, before.across) + pair
         assert complex(sums.along, sums.across) == pytest.approx(found, rel=1e-9, abs=1e-12)
         assert sums.length == pytest.approx(keep * before.length + abs(pair))
+        square = (u[:2] @ u[:2] + y[:2] @ y[:2]) / variance
+        assert sums.square == pytest.approx(keep * before.square + square)
+        assert sums.expected == pytest.approx(keep * before.expected + 2.0 * share)
 
     def stance_rows(self, body, state, tuning, work, dt):
         before = own(work)

@@ -18,7 +18,7 @@ from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records
 from gateway.geometry.vectors import dot, is_finite
-from gateway.reconstruction.inertial.tree.start import agreed, give_of, root_of, tilt_square
+from gateway.reconstruction.inertial.tree.start import NO_FIELD, agreed, give_of, root_of, tilt_square
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Compass,
@@ -344,7 +344,7 @@ def _expect_unobserved(segment: Segment, now: SegmentWork, has_parent: bool, tun
     sums, unknown = segment.heading_sums, tuning.unknown_heading**2
     if has_parent:
         now.apart = unknown
-    concentration = agreed(sums.along, sums.across, sums.length, tuning)
+    concentration = agreed(sums, NO_FIELD, tuning)
     now.apart = 1.0 / (1.0 / now.apart + concentration / tuning.heading_density)
     # what is next to nothing is noise, and would turn a body at rest
     share = concentration**2 / (concentration**2 + tuning.heading_noise**2)

@@ -190,8 +190,10 @@ def _shows_world(body: Body, state: State, tuning: Tuning, work: Work, s: int, i
     segment, sums, pair = state.segments[s], state.segments[root].heading_sums, work.shared.pair
     if work.segments[s].turn[2] == 0.0:
         # (26) has counted already that readings share errors: the density, which counts that again, is undone
-        uncertain = work.shared.learning.variance + tilt_spread(segment, tuning, interval_s)
-        gather_heading(sums, pair.u, pair.y, uncertain / tuning.heading_density, tuning, interval_s)
+        learning, density = work.shared.learning, tuning.heading_density
+        uncertain = learning.variance + tilt_spread(segment, tuning, interval_s)
+        share = density * learning.at_once / learning.variance
+        gather_heading(sums, pair.u, pair.y, uncertain / density, share, tuning, interval_s)
         variance, angle = shown_heading(sums, tuning)
         if variance > 0.0:
             state.segments[root].heading = OBSERVED

@@ -176,22 +176,20 @@ def _joint_row(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> b
     """
     _, child, parent, now, above = joint
     _see_joint(joint, tuning, dt)
-    is_lost = child.heading == UNOBSERVED
+    is_lost, share = child.heading == UNOBSERVED, min(1.0, dt / tuning.row_memory_s)
+    uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
     if not is_lost and parent.heading == UNOBSERVED and is_apart(child, parent, True, tuning):
         # the parent has begun anew beside a segment that has not: this shows the parent's heading
         is_lost = True
-        uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
-        gather_heading(parent.heading_sums, now.u_parent, now.u, uncertain, tuning, dt)
+        gather_heading(parent.heading_sums, now.u_parent, now.u, uncertain, share, tuning, dt)
     elif is_lost:
-        uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
-        gather_heading(child.heading_sums, now.u, now.u_parent, uncertain, tuning, dt)
+        gather_heading(child.heading_sums, now.u, now.u_parent, uncertain, share, tuning, dt)
         if shown_between(child, parent, tuning)[0] > 0.0:
             return True
     elif now.turn[2] != 0.0 or above.turn[2] != 0.0:
         return False  # this instant's averages are those before the turn
     else:
-        uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
-        gather_heading(child.heading_sums, now.u, now.u_parent, uncertain, tuning, dt)
+        gather_heading(child.heading_sums, now.u, now.u_parent, uncertain, share, tuning, dt)
         _learn_arms(joint, learning, tuning, dt)
     if not is_lost:
         # (20) … (1 + 2 max(χ_s, χ_p))

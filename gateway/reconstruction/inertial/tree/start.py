@@ -33,6 +33,7 @@ from gateway.reconstruction.inertial.tree.state import (
     World,
 )
 from gateway.reconstruction.inertial.tree.tuning import Tuning
+from gateway.reconstruction.inertial.tree.update import Three
 
 OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
 NOT_STARTED, STARTED = Started.NO.value, Started.YES.value
@@ -187,6 +188,8 @@ def starting_speed_square(moved: float, tuning: Tuning) -> float:
 
 LEAST_GIVE = 1e-12
 """rad²."""
+NO_FIELD = (0.0, 0.0, 0.0)
+"""What compasses add to the evidence of motion where there are none."""
 GRAVITY = 9.81
 
 
@@ -226,12 +229,19 @@ def second_order_variance(
 
 @compiled
 def gather_heading(
-    sums: HeadingSums, u: FloatArray, y: FloatArray, variance: float, tuning: Tuning, interval_s: float
+    sums: HeadingSums,
+    u: FloatArray,
+    y: FloatArray,
+    variance: float,
+    share: float,
+    tuning: Tuning,
+    interval_s: float,
 ) -> None:
-    """Add one pair of vectors to the sums of (54).
+    """Add one pair of vectors to the sums of (54) and (55).
 
     u: (3,) of the segment, y: (3,) what it must agree with; world. variance: of the pair's components,
-    (m/s²)². interval_s: time since the pair before.
+    (m/s²)². share: of it that one pair is off by; the rest is for errors that pairs have in common.
+    interval_s: time since the pair before.
     """
     decay = math.exp(-interval_s / tuning.heading_forgets_s)
     # (54) κ e^{iψ_0}: real part …
@@ -241,13 +251,17 @@ def gather_heading(
     # (55) … and how large κ could be
     length = math.hypot(u[0], u[1]) * math.hypot(y[0], y[1])
     sums.length = sums.length * decay + length / variance
+    # … and of what does not agree, beside what is expected
+    both = u[0] * u[0] + u[1] * u[1] + y[0] * y[0] + y[1] * y[1]
+    sums.square = sums.square * decay + both / variance
+    sums.expected = sums.expected * decay + 2.0 * share
     sums.seconds += interval_s
 
 
 @compiled
 def shown_heading(sums: HeadingSums, tuning: Tuning) -> tuple[float, float]:
     """Return variance (rad²) and angle (rad) of a heading that motion has shown, (55); 0: not yet."""
-    return _shown(sums.along, sums.across, sums.length, sums.seconds, tuning)
+    return _shown(sums, NO_FIELD, tuning)
 
 
 @compiled
@@ -256,35 +270,37 @@ def shown_between(segment: Segment, parent: Segment, tuning: Tuning) -> tuple[fl
 
     Where both have seen the field, their compasses count beside the motion.
     """
-    sums, compass, above = segment.heading_sums, segment.compass, parent.compass
-    along, across, length = sums.along, sums.across, sums.length
+    by_field, compass, above = NO_FIELD, segment.compass, parent.compass
     if compass.seconds > 0.0 and above.seconds > 0.0:
         off = compass.angle - above.angle
         variance = compass.variance + compass.offset_square + above.variance + above.offset_square
-        by_field = tuning.heading_density / variance
-        along += by_field * math.cos(off)
-        across -= by_field * math.sin(off)
-        length += by_field
-    return _shown(along, across, length, sums.seconds, tuning)
+        length = tuning.heading_density / variance
+        by_field = length * math.cos(off), -length * math.sin(off), length
+    return _shown(segment.heading_sums, by_field, tuning)
 
 
 @compiled
-def agreed(along: float, across: float, length: float, tuning: Tuning) -> float:
-    """Return κ of (54), less where the two sides' horizontal accelerations hardly agree, (55)."""
-    concentration = math.hypot(along, across)
-    if length == 0.0:
+def agreed(sums: HeadingSums, by_field: Three, tuning: Tuning) -> float:
+    """Return κ of (54), less where the two sides' horizontal accelerations do not agree, (55).
+
+    by_field: what compasses add to ``along``, ``across`` and ``length``, (56).
+    """
+    if sums.expected == 0.0:
         return 0.0
-    agreement = concentration / length / tuning.heading_coherence
-    return float(concentration * min(agreement, 1.0) ** 12)
+    concentration = math.hypot(sums.along + by_field[0], sums.across + by_field[1])
+    agreement = concentration / (sums.length + by_field[2]) / tuning.heading_coherence
+    left = (sums.square + 2.0 * (by_field[2] - concentration)) / sums.expected
+    return float(concentration * min(agreement, 1.0) ** 6 / max(left, 1.0) ** 2)
 
 
 @compiled
-def _shown(along: float, across: float, length: float, seconds: float, tuning: Tuning) -> tuple[float, float]:
+def _shown(sums: HeadingSums, by_field: Three, tuning: Tuning) -> tuple[float, float]:
     """Return variance (rad²) and angle (rad) of the heading by the sums of (54), (55); 0: not yet."""
-    concentration = agreed(along, across, length, tuning)
-    if seconds < tuning.heading_time_s or concentration < tuning.heading_evidence:
+    concentration = agreed(sums, by_field, tuning)
+    if sums.seconds < tuning.heading_time_s or concentration < tuning.heading_evidence:
         return 0.0, 0.0
-    return tuning.heading_density / concentration, math.atan2(across, along)
+    angle = math.atan2(sums.across + by_field[1], sums.along + by_field[0])
+    return tuning.heading_density / concentration, angle
 
 
 @compiled
@@ -330,13 +346,14 @@ def lose_headings(links: Records[Link], segments: Records[Segment], tuning: Tuni
 @compiled
 def forget_evidence(sums: HeadingSums) -> None:
     """Reset what motion has shown of a heading."""
-    sums.along, sums.across, sums.length, sums.seconds = 0.0, 0.0, 0.0, 0.0
+    sums.along, sums.across, sums.length = 0.0, 0.0, 0.0
+    sums.square, sums.expected, sums.seconds = 0.0, 0.0, 0.0
 
 
 @compiled
 def is_contradicted(sums: HeadingSums, tuning: Tuning) -> bool:
     """Return whether motion clearly shows that a heading that was taken as shown is far off."""
-    shown = agreed(sums.along, sums.across, sums.length, tuning)
+    shown = agreed(sums, NO_FIELD, tuning)
     is_clear = shown > tuning.heading_contradiction * tuning.heading_evidence
     is_far_off = sums.along < math.cos(tuning.heading_far_off) * math.hypot(sums.along, sums.across)
     return bool(is_clear and is_far_off)

@@ -170,6 +170,8 @@ class HeadingSums(Record):
     along: float  # Σ of cosines over variances
     across: float  # Σ of sines
     length: float  # how long both together could be
+    square: float  # Σ of both sides' squares over variances
+    expected: float  # what noise lets expect of square less 2 κ
     seconds: float
 
 
