@@ -485,19 +485,23 @@ def publish_covariances(body: Body, state: State, tuning: Tuning, work: Work) ->
     """Set ``published`` and ``tilt_share`` of every segment, equation (68); rad², world axes.
 
     Published is P with the tilt scaled by how well the joints around the segment agree, but for what all of
-    an unaided chain have in common, plus the tilt that a constant error of the accelerometer leaves; the
-    heading's variance is that of the compass where the field is used, if that is smaller.
+    an unaided chain have in common, plus the tilt that a constant error of the accelerometer leaves, which is
+    the less the more joints accelerate; the heading's variance is that of the compass where the field is
+    used, if that is smaller.
     """
     links, segments, works = body.segments, state.segments, work.segments
     _compare_tilts(links, segments, works, tuning)
     is_world_shown = shows_world(links, segments)
-    lasting = tuning.force_bias**2 / dot(body.world.gravity, body.world.gravity)
+    gravity_square = dot(body.world.gravity, body.world.gravity)
     for s in range(len(links)):
         now, segment = works[s], segments[s]
         first, P, published = works[now.chain], segment.P, segment.published
+        lasting = tuning.force_bias**2 / gravity_square
         if now.agreeing > 0:
             # (68) ν_s
             segment.tilt_share = tuning.tilt_nis * now.agreement / now.agreeing
+            # (68) g_s²
+            lasting *= (gravity_square / (gravity_square + 2.0 * segment.felt_square)) ** 2
         else:
             segment.tilt_share = 1.0
         share = segment.tilt_share
