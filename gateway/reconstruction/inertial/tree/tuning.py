@@ -145,10 +145,10 @@ class Tuning(Record):
         "indoors",
     )
     heading_evidence: float = constant(
-        12.0,
+        6.0,
         "",
         "concentration (von Mises) from which an unobserved heading is taken as shown",
-        "0.5 rad with the density",
+        "0.9 rad with the density; starts of the training part",
     )
     heading_contradiction: float = constant(
         3.0, "", "times that evidence takes a heading back that is far off", "as sure again, and once more"
