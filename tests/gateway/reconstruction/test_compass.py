@@ -158,7 +158,7 @@ def draw_headings(rng, state, has_field):
             sums, angle = segment.heading_sums, rng.normal(0.0, 0.3)
             segment.heading, kappa = Heading.UNOBSERVED.value, rng.choice([0.1, 3.0, 10.0])
             sums.along, sums.across = kappa * np.cos(angle), kappa * np.sin(angle)
-            sums.length = 1.2 * kappa
+            sums.length, sums.square, sums.expected = 1.2 * kappa, 2.4 * kappa, 10.0
 
 
 @given(
