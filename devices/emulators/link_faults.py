@@ -104,7 +104,7 @@ class LinkFaults:
         return at_s - since + fault.lasts
 
     def _drip(self, fault: SlowDrip, sent: Transmission) -> list[Transmission]:
-        """Byte by byte on a byte stream, CAN frames whole; what is left at the fault's end comes in one piece."""
+        """Byte by byte on a byte stream, CAN frames whole; the rest comes in one piece as the fault ends."""
         end_s = max(self._end(fault, sent.time_s), sent.time_s)
         length = 1 if self._framing is Framing.BYTE_STREAM else len(sent.data)
         at_s = max(self._drip_free_s, sent.time_s)
