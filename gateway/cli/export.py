@@ -83,8 +83,8 @@ def export(
     for name in to:
         FORMATS[name].check(*_form(name, axes, unit))
     files = {name: _target(file, name, output, len(to) > 1, force) for name in to}
-    telling = _telling_of_compiling() if smooth else contextlib.nullcontext()
-    with telling, progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
+    reporting = _compiling_reported() if smooth else contextlib.nullcontext()
+    with reporting, progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
         recording = open_recording(file)
         arrays = smoothed_arrays(recording, progress) if smooth else recording.skeleton_arrays(progress)
 
@@ -113,7 +113,7 @@ def export(
     _print_written(written)
 
 
-def _telling_of_compiling() -> contextlib.AbstractContextManager[None]:
+def _compiling_reported() -> contextlib.AbstractContextManager[None]:
     """Return what tells, on standard error, of minutes that go into compiling the recording's method."""
     from gateway.cli.preparing import report_compiling
 
@@ -204,7 +204,7 @@ def report(
         )
     recording = open_recording(file)
 
-    with _telling_of_compiling(), progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
+    with _compiling_reported(), progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
         found = gather(recording, progress)
     write_report(found, target)
     if as_json:
