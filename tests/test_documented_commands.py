@@ -169,5 +169,12 @@ def test_files_that_are_run_or_copied_are_there():
     assert not missing
 
 
+def test_every_example_of_the_help_is_a_command():
+    """The reference has them a line each; they are parsed above."""
+    of_help = [each.words for each in SHOWN if each.page == "docs/reference/commands.md" and each.is_typed]
+    assert of_help
+    assert not [" ".join(words) for words in of_help if words[0] != PROGRAM[0]]
+
+
 def test_documents_show_commands():
     assert len(TYPED) > 150

@@ -104,16 +104,17 @@ class LinkFaults:
         return at_s - since + fault.lasts
 
     def _drip(self, fault: SlowDrip, sent: Transmission) -> list[Transmission]:
-        """Byte by byte on a byte stream; CAN frames come whole."""
-        end_s = self._end(fault, sent.time_s)
-        pieces = [sent.data]
-        if self._framing is Framing.BYTE_STREAM:
-            pieces = [sent.data[i : i + 1] for i in range(len(sent.data))]
+        """Byte by byte on a byte stream, CAN frames whole; the rest comes in one piece as the fault ends."""
+        end_s = max(self._end(fault, sent.time_s), sent.time_s)
+        length = 1 if self._framing is Framing.BYTE_STREAM else len(sent.data)
         at_s = max(self._drip_free_s, sent.time_s)
-        dripping = []
-        for piece in pieces:
-            at_s = min(at_s + len(piece) / fault.bytes_per_s, max(end_s, sent.time_s))
-            dripping.append(Transmission(at_s, piece, sent.device))
+        dripping, done = [], 0
+        while done < len(sent.data):
+            at_s += length / fault.bytes_per_s
+            if at_s >= end_s:
+                at_s, length = end_s, len(sent.data) - done
+            dripping.append(Transmission(at_s, sent.data[done : done + length], sent.device))
+            done += length
         self._drip_free_s = at_s
         return dripping
 

@@ -73,7 +73,7 @@ def smooth_motion(
     if cutoff_hz is not None and lasts_s < _FEWEST_PERIODS / cutoff_hz:
         raise GatewayError(
             f"{lasts_s:.2f} s of motion is too short for a cut-off of {cutoff_hz:g} Hz: "
-            f"{_FEWEST_PERIODS / cutoff_hz:.2f} s at least, or a higher --cutoff (0: none)"
+            f"{_FEWEST_PERIODS / cutoff_hz:.3g} s at least, or a higher --cutoff (0: none)"
         )
     rate_hz = (len(time_s) - 1) / lasts_s
     turned = _continuous(relative(skeleton, q_wb))

@@ -19,6 +19,7 @@ from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
 from gateway.errors import SettingsError, nearest
 from gateway.support.settings_files import Strict, load_settings
+from gateway.support.whole_files import write_whole
 
 _DIGITS = 9
 
@@ -131,6 +132,6 @@ def subject_content(
 
 
 def write_subject(path: Path, content: dict[str, Any]) -> None:
-    """Write a subject file. Raises ``OSError`` as ``open`` does."""
+    """Write a subject file, whole or not at all. Raises ``OSError``."""
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
-    path.write_text(text, encoding="utf-8")
+    write_whole(path, text.encode())

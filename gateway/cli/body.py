@@ -31,7 +31,7 @@ from gateway.support.settings_files import (
     read_text,
     shipped_folder,
 )
-from gateway.support.whole_files import writing
+from gateway.support.whole_files import write_whole, writing
 
 body_app = typer.Typer(
     help="Bodies: segments, joints, lengths.",
@@ -190,7 +190,7 @@ def _write(path: Path, head: str, content: dict[str, Any], force: bool) -> None:
     refuse_existing(path, force)
     text = head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
     with writing(path):
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text.encode())
     typer.echo(f"written to {path}")
 
 

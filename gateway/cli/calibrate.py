@@ -29,7 +29,7 @@ from gateway.clocks.table import MINUTE_S
 from gateway.errors import GatewayError
 from gateway.settings import GatewaySettings, load_gateway_settings
 from gateway.support.extras import require_video_extra
-from gateway.support.whole_files import writing
+from gateway.support.whole_files import write_whole, writing
 
 if TYPE_CHECKING:
     from gateway.calibration.boards import Board
@@ -184,7 +184,7 @@ def _camera_row(camera: Camera) -> dict[str, Any]:
 
 def _write_cameras(output: Path, text: str) -> None:
     with writing(output):
-        output.write_text(text, encoding="utf-8")
+        write_whole(output, text.encode())
 
 
 def _print_cameras(output: Path, rows: list[dict[str, Any]], as_json: bool) -> None:

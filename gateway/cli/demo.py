@@ -207,7 +207,7 @@ def _startable(settings: GatewaySettings, show: Callable[[str], object]) -> Gate
         return settings
     settings = stand_in(settings, show)
     show(
-        f"first start: '{usual}' is compiled in the background, up to a minute; this run shows "
+        f"first start: '{usual}' is compiled in the background; this run shows "
         f"'{readiness.FALLBACK}', and the body stays in its place"
     )
     nowhere = subprocess.DEVNULL

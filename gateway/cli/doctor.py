@@ -40,8 +40,6 @@ def doctor(
 
     Changes nothing. Ends with 1 when something will not work. A gateway that runs is asked; else the suit is
     listened to.
-
-    Example: mocap-gateway doctor -c my.yaml --module-rate 200
     """
     from gateway.doctor.examination import examine_file
 

@@ -6,6 +6,7 @@ import contextlib
 import json
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -82,7 +83,8 @@ def export(
     for name in to:
         FORMATS[name].check(*_form(name, axes, unit))
     files = {name: _target(file, name, output, len(to) > 1, force) for name in to}
-    with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
+    reporting = _compiling_reported() if smooth else contextlib.nullcontext()
+    with reporting, progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
         recording = open_recording(file)
         arrays = smoothed_arrays(recording, progress) if smooth else recording.skeleton_arrays(progress)
 
@@ -109,6 +111,13 @@ def export(
         typer.echo(json.dumps(written, indent=2))
         return
     _print_written(written)
+
+
+def _compiling_reported() -> contextlib.AbstractContextManager[None]:
+    """Return what tells, on standard error, of minutes that go into compiling the recording's method."""
+    from gateway.cli.preparing import report_compiling
+
+    return report_compiling(partial(typer.echo, err=True))
 
 
 def _form(name: str, axes: Axes | None, unit: Unit | None) -> tuple[Axes, float]:
@@ -195,7 +204,7 @@ def report(
         )
     recording = open_recording(file)
 
-    with progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
+    with _compiling_reported(), progress_bar(f"reading {file.name}", is_shown=not as_json) as progress:
         found = gather(recording, progress)
     write_report(found, target)
     if as_json:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import sys
@@ -109,7 +110,8 @@ class _Commands(LazyGroup):
         "doctor": LazyCommand(
             "gateway.cli.doctor:doctor",
             "Examine a set-up: configuration, ports, lines and buses, modules, broker, clocks, disk.",
-            "Example: mocap-gateway doctor -c config/gateway.yaml",
+            "Examples: mocap-gateway doctor -c config/gateway.yaml; "
+            "mocap-gateway doctor -c my.yaml --module-rate 200",
         ),
         "health": LazyCommand(
             "gateway.cli.health:health",
@@ -240,6 +242,9 @@ def _nothing_beforehand() -> None:
 def main() -> None:
     """Run the command line. What the user can put right is one line on standard error, exit code 1."""
     logging.basicConfig(format="%(asctime)s %(levelname)-7s %(message)s", level=logging.WARNING)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A terminal of ASCII has no degree sign, and none has a letter for a broken file name.
+        sys.stdout.reconfigure(errors="replace")
     try:
         app(prog_name="mocap-gateway")
     except Exception as error:

@@ -525,15 +525,16 @@ modules_app = typer.Typer(
 _EXAMPLE = "Example: mocap-gateway modules"
 modules_app.command(
     "list",
-    epilog=f"{_EXAMPLE} list -c my.yaml; or through a running gateway: modules list --mqtt 127.0.0.1:1883",
+    epilog="Examples: mocap-gateway modules list -c my.yaml; "
+    "mocap-gateway modules list --mqtt 127.0.0.1:1883",
 )(list_modules)
 modules_app.command("discover", epilog=f"{_EXAMPLE} discover --listen 5")(discover_modules)
 modules_app.command("watch", epilog=f"{_EXAMPLE} watch --link /dev/ttyUSB0 --rig suit_17")(watch_modules)
 modules_app.command("identify", epilog=f"{_EXAMPLE} identify 3 --seconds 10 -c my.yaml")(identify)
 modules_app.command(
     "assign",
-    epilog=f"{_EXAMPLE} assign -c my.yaml --allow-writes; one segment, without shaking: "
-    "modules assign --segment left_shank --device 3f2a --yes -c my.yaml --allow-writes",
+    epilog="Examples: mocap-gateway modules assign -c my.yaml --allow-writes; "
+    "mocap-gateway modules assign --segment left_shank --device 3f2a --yes -c my.yaml --allow-writes",
 )(assign)
 modules_app.command("show", epilog=f"{_EXAMPLE} show 3 -c my.yaml")(show)
 modules_app.command(

@@ -457,7 +457,8 @@ def serve(
 ) -> None:
     """Stand in for a Qualisys QTM: serve a trial by its real-time protocol, to try a set-up without cameras.
 
-    Whoever connects sees it from the beginning on. Written from the published protocol; no QTM was at hand.
+    Whoever connects sees it from the beginning on: a gateway with a link `url: qtm://127.0.0.1:22223`.
+    Written from the published protocol; no QTM was at hand.
     """
     from devices.marker_files import read_markers
 
@@ -510,6 +511,4 @@ optical_app.command(
 optical_app.command(
     epilog="Example: mocap-gateway optical play walk.c3d --subject anna.yaml --embedded --speed 0.5"
 )(play)
-optical_app.command(
-    epilog="Example: mocap-gateway optical serve walk.c3d --port 22223, and a link 'url: qtm://127.0.0.1:22223'"
-)(serve)
+optical_app.command(epilog="Example: mocap-gateway optical serve walk.c3d --port 22223")(serve)

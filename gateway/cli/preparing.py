@@ -19,7 +19,7 @@ from gateway.reconstruction import OPTICAL, RootMode
 from gateway.reconstruction.optical.warm_up import warm_up
 from gateway.settings import GatewaySettings, RootMotionSettings
 
-_USUAL = "compiling the reconstruction once, for up to a minute; later starts find it made"
+_USUAL = "compiling the reconstruction once; later starts find it made"
 
 
 @contextlib.contextmanager
@@ -78,7 +78,7 @@ def _interruptible() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-_FIRST = "first start: compiling what the first poses need, once; about ten seconds on a machine that is free"
+_FIRST = "first start: compiling what the first poses need, once"
 
 
 def make_ready(reconstructor: str) -> None:
@@ -89,10 +89,8 @@ def make_ready(reconstructor: str) -> None:
         with report_compiling(partial(typer.echo, err=True)):
             warm_up()
     elif not readiness.is_ready(reconstructor):
-        typer.echo(
-            f"compiling the method '{reconstructor}': once after an installation, up to a minute", err=True
-        )
-        readiness.make_ready(reconstructor)
+        show = partial(typer.echo, err=True)
+        _compile(reconstructor, f"compiling the method '{reconstructor}': once after an installation", show)
 
 
 def stand_in(settings: GatewaySettings, show: Callable[[str], object]) -> GatewaySettings:
@@ -100,10 +98,25 @@ def stand_in(settings: GatewaySettings, show: Callable[[str], object]) -> Gatewa
     from gateway.service import readiness
 
     if not readiness.is_ready(readiness.FIRST):
-        begun_s = time.monotonic()
-        show(_FIRST)
-        with progress_bar("compiling", is_shown=sys.stderr.isatty()) as progress:
-            readiness.make_ready(readiness.FIRST, progress=progress)
-        show(f"compiled ({time.monotonic() - begun_s:.0f} s)")
+        _compile(readiness.FIRST, _FIRST, show)
     in_its_place = RootMotionSettings(mode=RootMode.FIXED)
     return settings.solved_by(readiness.FALLBACK).model_copy(update={"root_motion": in_its_place})
+
+
+def _compile(name: str, why: str, show: Callable[[str], object]) -> None:
+    """Compile a method. How far it is stands in a bar on a terminal, else in a line for each step."""
+    from gateway.service import readiness
+
+    begun_s = time.monotonic()
+    show(why)
+    is_terminal = sys.stderr.isatty()
+    with progress_bar("compiling", is_shown=is_terminal) as bar:
+
+        def report(done: int, of: int) -> None:
+            if is_terminal:
+                bar(done, of)
+            elif done:
+                show(f"compiling: step {done} of {of} ({time.monotonic() - begun_s:.0f} s)")
+
+        readiness.make_ready(name, progress=report)
+    show(f"compiled ({time.monotonic() - begun_s:.0f} s)")

@@ -141,7 +141,7 @@ class _Supervisor:
         # Walking is compiled, too, so that the stand-in may be the method itself.
         serves = "" if name == readiness.FALLBACK else f"'{readiness.FALLBACK}' makes the poses, and "
         log.warning(
-            "compiling the method '%s', once after an installation, up to a minute; until then %sthe body "
+            "compiling the method '%s' in the background, once after an installation; until then %sthe body "
             "stays in its place", name, serves,
         )  # fmt: skip
         process = await asyncio.create_subprocess_exec(*readiness.command(name))

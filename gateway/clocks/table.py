@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray
 from gateway.support.settings_files import Strict, load_settings
+from gateway.support.whole_files import write_whole
 
 MINUTE_S = 60.0
 
@@ -129,8 +130,9 @@ def save_clock_table(table: ClockTable, path: Path) -> None:
         alpha={i: [round(float(value), 10) for value in row] for i, row in sorted(table.alpha.items())},
     )
     head = "# Clock compensation measured by `mocap-gateway calibrate clocks`.\n"
+    text = head + yaml.safe_dump(content.model_dump(), sort_keys=False, default_flow_style=None)
     try:
-        path.write_text(head + yaml.safe_dump(content.model_dump(), sort_keys=False, default_flow_style=None))
+        write_whole(path, text.encode())
     except OSError as error:
         raise SettingsError(f"{path}: cannot be written: {error}") from error
 

@@ -63,9 +63,7 @@ def kernels(method: str) -> Iterator[Finding]:
     if found.is_complete:
         yield good("kernels", text)
     else:
-        remedy = (
-            f"mocap-gateway kernels build {method}; else the first start compiles them, for up to a minute"
-        )
+        remedy = f"mocap-gateway kernels build {method}; else the first start compiles them"
         yield warning("kernels", text, remedy)
 
 

@@ -11,8 +11,12 @@ import pytest
 
 from devices.link import Framing
 from devices.recording_writer import RecordingWriter, session_record
+from gateway.body.subject_file import write_subject
 from gateway.calibration.mounting import history, keep, restore
 from gateway.calibration.rig_file import write_calibrated_rig
+from gateway.cli import body
+from gateway.cli.calibrate import _write_cameras
+from gateway.clocks.table import clock_table, save_clock_table
 from gateway.errors import GatewayError
 from gateway.support.settings_files import shipped_folder
 from gateway.support.whole_files import replacing, replacing_by_name, write_whole
@@ -89,6 +93,27 @@ def test_a_rig_that_cannot_be_written_stays_what_it_was(tmp_path, full_disk):
     with pytest.raises(GatewayError, match="cannot be written: No space"):
         write_calibrated_rig(source, rig, {})
     assert rig.read_text() == "newer"
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda path: save_clock_table(clock_table([{1: [1.0, 2.0], 2: [1.1, 2.1]}]), path),
+        lambda path: write_subject(path, {"name": "anna"}),
+        lambda path: _write_cameras(path, "cameras: []"),
+        lambda path: body._write(path, "# anna\n", {"name": "anna"}, force=True),
+    ],
+    ids=["clocks", "subject", "cameras", "body"],
+)
+def test_what_was_measured_before_stays_where_the_new_cannot_be_written(tmp_path, full_disk, write):
+    """A power cut in the middle finds the same: the old file, whole."""
+    file = tmp_path / "measured.yaml"
+    file.write_bytes(b"before")
+    full_disk()
+    with pytest.raises((GatewayError, OSError), match="No space"):
+        write(file)
+    assert file.read_bytes() == b"before"
+    assert names(tmp_path) == ["measured.yaml"]
 
 
 def test_a_recording_that_cannot_begin_leaves_no_file(tmp_path, full_disk):

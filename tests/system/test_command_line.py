@@ -9,7 +9,6 @@ import sys
 import time
 from pathlib import Path
 
-import click
 import pytest
 import typer
 import yaml
@@ -83,6 +82,18 @@ def test_help_tells_the_command_as_it_is_typed():
         assert " ".join(["Usage: mocap-gateway", *words, "[OPTIONS]"]) in done.stdout
 
 
+@pytest.mark.parametrize(
+    "words", [["body", "show", "human_17"], ["info", "tests/golden/captures/walking.mcap"], ["--help"]]
+)
+def test_a_terminal_without_a_degree_sign_gets_all_but_that(words):
+    """What it has no letter for is a question mark each, so that columns stay below each other."""
+    typed = [sys.executable, "-m", "gateway", *words]
+    plain = os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
+    done = subprocess.run(typed, capture_output=True, check=False, env=plain)
+    assert done.returncode == 0, done.stderr.decode()
+    assert done.stdout.isascii()
+
+
 def test_the_schema_describes_every_setting():
     code, out, _ = typed_here(["config", "schema"])
     schema = json.loads(out)
@@ -97,12 +108,15 @@ def test_help_has_an_example_for_every_command():
         """Yield the commands and groups below one, itself too, whose help has none."""
         if not re.search("Examples?: mocap-gateway", f"{command.epilog} {command.help}"):
             yield " ".join(words)
-        if isinstance(command, click.Group):
-            context = click.Context(command)
+        looked_at.append(words)
+        if hasattr(command, "commands"):
+            context = command.context_class(command)
             for name in command.commands:
                 yield from without(command.get_command(context, name), [*words, name])
 
+    looked_at = []
     assert list(without(typer.main.get_command(app), ["mocap-gateway"])) == []
+    assert ["mocap-gateway", "modules", "card", "list"] in looked_at
 
 
 @pytest.mark.parametrize(

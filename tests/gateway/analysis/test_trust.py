@@ -72,8 +72,10 @@ def test_two_periods_of_the_cut_off_are_wanted(frames, is_long_enough):
     if is_long_enough:
         assert len(analyse(arrays, "x", weighed, GRAVITY, 6.0).time_s) == frames
         return
-    with pytest.raises(GatewayError, match=r"0.32 s of motion is too short .* 6 Hz: 0.33 s at least"):
+    with pytest.raises(GatewayError, match=r"0.32 s of motion is too short .* 6 Hz: 0.333 s at least"):
         analyse(arrays, "x", weighed, GRAVITY, 6.0)
+    with pytest.raises(GatewayError, match=r"a cut-off of 1e-300 Hz: 2e\+300 s at least"):
+        analyse(arrays, "x", weighed, GRAVITY, 1e-300)
 
 
 def test_a_chain_of_links_is_analysed_without_a_floor(tmp_path):
