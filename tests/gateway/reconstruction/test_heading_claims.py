@@ -9,6 +9,8 @@ from gateway.emulation.fast_arm import sampled
 from gateway.emulation.random_chains import drawn
 from gateway.geometry.rotation_matrix import from_rotation_vector
 from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings, JointReconstructor
+from gateway.reconstruction.inertial.tree.start import forget_evidence, gather_heading, shown_heading
+from gateway.reconstruction.inertial.tree.state import initial_state
 from gateway.reconstruction.inertial.tree.tuning import tuning
 from gateway.reconstruction.reconstructor import update_many
 
@@ -148,3 +150,34 @@ def test_tilts_of_modules_that_move_on_the_body_are_told_less_sure(frames):
         np.array([one["sigma_tilt"] ** 2 for one in r.certainty().values()]) - lasting for r in reconstructors
     )
     assert (soft > 4.0 * firm).all()
+
+
+def seen(noise, n=400):
+    """Return variance (rad²) and angle (rad) shown by n pairs at 100 Hz; the noise of each side, m/s²."""
+    sums, rng = initial_state(2, 0).segments[1].heading_sums, np.random.default_rng(3)
+    forget_evidence(sums)
+    for _ in range(n):
+        y = np.append(rng.normal(0.0, 2.0, 2), 9.81)
+        u = from_rotation_vector(np.array([0.0, 0.0, -0.7])) @ y + rng.normal(0.0, noise, 3)
+        gather_heading(sums, u, y, 1.0 * 0.1 / 0.01, 0.01 / 0.1, tuning(), 0.01)
+    return shown_heading(sums, tuning())
+
+
+def test_a_heading_is_shown_by_sides_that_fit_as_their_noise_lets_expect():
+    variance, angle = seen(noise=1.0)
+    assert 0.0 < variance < 0.1
+    assert angle == pytest.approx(0.7, abs=0.15)
+
+
+def test_sides_that_are_no_joint_show_none_however_long():
+    """As of modules that are swapped: they agree a little, and differ by far more than any noise."""
+    assert seen(noise=4.0) == (0.0, 0.0)
+    assert seen(noise=4.0, n=4000) == (0.0, 0.0)
+
+
+def test_sides_without_any_acceleration_show_none():
+    sums = initial_state(2, 0).segments[1].heading_sums
+    forget_evidence(sums)
+    for _ in range(200):
+        gather_heading(sums, np.zeros(3), np.array([0.5, 0.2, 9.81]), 1.0, 0.1, tuning(), 0.01)
+    assert shown_heading(sums, tuning()) == (0.0, 0.0)

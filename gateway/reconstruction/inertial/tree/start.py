@@ -285,10 +285,11 @@ def agreed(sums: HeadingSums, by_field: Three, tuning: Tuning) -> float:
 
     by_field: what compasses add to ``along``, ``across`` and ``length``, (56).
     """
-    if sums.expected == 0.0:
+    length = sums.length + by_field[2]
+    if length == 0.0 or sums.expected == 0.0:
         return 0.0
     concentration = math.hypot(sums.along + by_field[0], sums.across + by_field[1])
-    agreement = concentration / (sums.length + by_field[2]) / tuning.heading_coherence
+    agreement = concentration / length / tuning.heading_coherence
     left = (sums.square + 2.0 * (by_field[2] - concentration)) / sums.expected
     return float(concentration * min(agreement, 1.0) ** 6 / max(left, 1.0) ** 2)
 
