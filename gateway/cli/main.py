@@ -13,6 +13,7 @@ import typer
 import gateway
 from gateway.cli.lazy_commands import LazyCommand, LazyGroup
 from gateway.errors import GatewayError
+from gateway.support.names import printable
 from gateway.support.whole_files import remedy_of
 
 
@@ -252,7 +253,7 @@ def main() -> None:
         if message is None:
             raise
         for line in message.splitlines():
-            print(f"mocap-gateway: {line}", file=sys.stderr)  # noqa: T201 - this is the user's terminal
+            print(f"mocap-gateway: {printable(line)}", file=sys.stderr)  # noqa: T201 - this is the user's terminal
         sys.exit(1)
 
 

@@ -302,6 +302,13 @@ def test_wrong_recordings_are_one_line(tmp_path):
         assert "Traceback" not in err
 
 
+def test_what_a_file_is_called_is_printed_and_not_obeyed(tmp_path):
+    code, _, err = typed_here(["emulate", "--recording", tmp_path / "\x1b[31mred.mat", "--format", "broad"])
+    assert code == 1
+    assert "[31mred.mat cannot be read as broad" in err
+    assert "\x1b" not in err
+
+
 @pytest.mark.parametrize(
     "words",
     [
