@@ -23,6 +23,7 @@ SUITES = (
     "fleet",
     "fleet_archive",
     "joints",
+    "people",
     "sensors",
     "calibration",
     "faults",

@@ -3,7 +3,7 @@
 ::
 
     with Objective() as objective:
-        print(objective(ChainSettings(tuning=Tuning(gyroscope=0.0005))))
+        print(objective(ChainSettings(tuning=tuning(gyroscope=0.0005))))
 """
 
 from __future__ import annotations
