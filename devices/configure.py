@@ -30,7 +30,7 @@ from devices.roster import Device, Roster, conflicts
 from devices.setting_values import SETTING_KEYS, Value, decoded_setting, encoded_setting, setting_key
 from devices.transactions import Answer
 from firmware_protocol.commands import Result, Verb, decode_payload
-from firmware_protocol.versions import SUPPORTED
+from firmware_protocol.framing import SUPPORTED
 
 _log = logging.getLogger(__name__)
 

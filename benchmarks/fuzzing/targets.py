@@ -46,7 +46,7 @@ class Target:
 
 _WIRE = (
     "firmware_protocol.codec",
-    "firmware_protocol.elements",
+    "firmware_protocol.codec",
     "firmware_protocol.fields",
     "firmware_protocol.framing",
     "firmware_protocol.packets",
@@ -67,7 +67,7 @@ _ALL = (
         "can_stream",
         "CAN frames, reassembled, to packets",
         "wire",
-        (*_WIRE, "firmware_protocol.can_framing", "firmware_protocol.can_records"),
+        (*_WIRE, "firmware_protocol.can_framing", "firmware_protocol.can_framing"),
         4096,
         _MANY,
     ),
@@ -109,7 +109,7 @@ _ALL = (
         "can_transfers",
         "long transfers over CAN, both directions of the receiver",
         "wire",
-        ("firmware_protocol.can_transfer", "firmware_protocol.can_transfer_receiver"),
+        ("firmware_protocol.can_transfer", "firmware_protocol.can_transfer"),
         4096,
         _MANY,
     ),

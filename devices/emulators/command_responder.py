@@ -20,7 +20,7 @@ from firmware_protocol.commands import (
     encode_payload,
 )
 from firmware_protocol.device_settings import SETTINGS, decode_value, encode_value
-from firmware_protocol.versions import NO_VERSION, SUPPORTED, negotiate
+from firmware_protocol.framing import NO_VERSION, SUPPORTED, negotiate
 
 SETTINGS_COMMITTED = 7
 """Event of a device whose settings were committed."""

@@ -13,7 +13,7 @@ from devices.reconnect import ReconnectingLink
 from devices.signed_link import SignedLink, read_key, time_count, write_key
 from devices.udp_link import UdpLink
 from firmware_protocol import encode_frame
-from firmware_protocol.golden_defects import GOOD
+from firmware_protocol.golden import GOOD
 from firmware_protocol.signing import SignedFrames
 
 SENT = encode_frame(GOOD)
