@@ -18,9 +18,8 @@ from devices.emulators.ideal_sensors import sense
 from devices.emulators.motions import BodyMotion, gait_motion, generic_motion
 from devices.emulators.waves import Fade
 from devices.link import Chunk
-from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_rig
-from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
+from gateway.body.skeleton import BodyMarkers, LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.emulation.rig import dress
 from gateway.frames import (
     Clipped,

@@ -149,7 +149,7 @@ _ALL = (
         "body_file",
         "body files",
         "configuration",
-        ("gateway.body.body_file", "gateway.body.joint_file", "gateway.support.settings_files"),
+        ("gateway.body.body_file", "gateway.body.body_file", "gateway.support.settings_files"),
         4096,
     ),
     Target("clock_table", "clock tables", "configuration", ("gateway.clocks.table",), 2048),

@@ -10,8 +10,7 @@ import numpy as np
 from devices.deferred import Rotation
 from devices.emulators.recordings import LocalTrack
 from gateway.body.body_file import load_body
-from gateway.body.part import reduced
-from gateway.body.skeleton import LocalDevice, WornSuit, field_vector
+from gateway.body.skeleton import LocalDevice, WornSuit, field_vector, reduced
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, Quantity
 from gateway.geometry import quaternion

@@ -19,8 +19,7 @@ from devices.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial
 from devices.marker_files.naming import spelt
 from devices.recording_writer import DerivedRecordingWriter, RecordingWriter
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import WornSuit
+from gateway.body.skeleton import BodyMarkers, WornSuit
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, MarkerFit, MarkerFrame
 from gateway.pipeline import Pipeline

@@ -45,9 +45,8 @@ from devices.marker_messages import encode_markers
 from devices.recording_writer import DerivedRecordingWriter, session_record
 from firmware_protocol import BROADCAST, SamplingTrigger, WireFrame, wire_frame
 from gateway.body.body_file import WorldSettings, worn_without_modules
-from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_rig
-from gateway.body.skeleton import CameraPosition, LocalDevice, WornSuit
+from gateway.body.skeleton import BodyMarkers, CameraPosition, LocalDevice, WornSuit
 from gateway.clocks import clock_table, save_clock_table
 from gateway.emulation.rig import dress, move, sunlight
 from gateway.frames import FloatArray, Quantity

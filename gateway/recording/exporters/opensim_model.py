@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 import numpy as np
 
 from gateway.body.inertia import BodyInertia, body_inertia
-from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import BodyMarkers
 from gateway.contract.opensim_names import BODIES
 from gateway.recording.exporters.opensim_angles import Turns, model_turns, pelvis_origin
 from gateway.recording.exporters.take import Take
