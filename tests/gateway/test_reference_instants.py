@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gateway.clocks import Datum, ReferenceInstants
+from gateway.stages.fused_assembler import Datum, ReferenceInstants
 
 
 def turn(angle):
