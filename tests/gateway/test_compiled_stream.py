@@ -36,7 +36,7 @@ from firmware_protocol import (
 from firmware_protocol.golden import VECTORS
 from firmware_protocol.signing import SignedFrames
 from gateway.clocks import ClockTable, TriggerAnswers
-from gateway.clocks.clock_rows import MOST_PACKETS
+from gateway.clocks.module_clock import MOST_PACKETS
 from gateway.emulation.both_ways import BothWays, Difference
 from gateway.sources import compiled_decoding
 from gateway.sources import suit as readable_way

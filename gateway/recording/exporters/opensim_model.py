@@ -15,7 +15,7 @@ import numpy as np
 from gateway.body.inertia import BodyInertia, body_inertia
 from gateway.body.skeleton import BodyMarkers
 from gateway.contract.opensim_names import BODIES
-from gateway.recording.exporters.opensim_angles import Turns, model_turns, pelvis_origin
+from gateway.recording.exporters.opensim import Turns, model_turns, pelvis_origin
 from gateway.recording.exporters.take import Take
 
 USUAL_KG = 75.0
