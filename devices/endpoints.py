@@ -28,20 +28,19 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
-from devices.can_link import CanLink
 from devices.known_names import nearest
 from devices.link import Link, LinkError, LiveLink
-from devices.listening import Network
+from devices.links.can_link import CanLink
+from devices.links.listening import Network
+from devices.links.rfc2217_link import Rfc2217Link
+from devices.links.serial_link import DEFAULT_BAUD, SerialLink
+from devices.links.signed_link import SignedLink, read_key
+from devices.links.slcan_link import SlcanLink
+from devices.links.socketcan_link import SocketCanLink
+from devices.links.tcp_link import TcpLink, TcpListenLink
+from devices.links.udp_link import LOOPBACK, UdpLink
 from devices.recording_format import SUFFIX
 from devices.replay_link import ReplayLink, speed_from
-from devices.rfc2217_link import Rfc2217Link
-from devices.serial_link import DEFAULT_BAUD, SerialLink
-from devices.signed_link import SignedLink, read_key
-from devices.slcan_link import SlcanLink
-from devices.socketcan_link import SocketCanLink
-from devices.tcp_link import TcpLink
-from devices.tcp_listen_link import TcpListenLink
-from devices.udp_link import LOOPBACK, UdpLink
 
 
 class EndpointError(LinkError, ValueError):
@@ -156,13 +155,13 @@ def _can(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Li
 
 
 def _marker_file(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
-    from devices.marker_file_link import MarkerFileLink  # noqa: PLC0415 - reading files takes scipy: a second
+    from devices.links.marker_file_link import MarkerFileLink  # noqa: PLC0415 - reading files takes scipy: a second
 
     return MarkerFileLink(_path(parts), name=name, **parameters)
 
 
 def _qtm(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
-    from devices.qtm_link import QtmLink  # noqa: PLC0415 - as above
+    from devices.links.qtm_link import QtmLink  # noqa: PLC0415 - as above
 
     if parts.port is None:
         return QtmLink(_host(parts), name=name, **parameters)

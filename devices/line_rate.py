@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from urllib.parse import parse_qsl, urlsplit
 
-from devices.serial_link import DEFAULT_BAUD
+from devices.links.serial_link import DEFAULT_BAUD
 
 DEFAULT_BITRATE = 1_000_000
 DEFAULT_DATA_BITRATE = 2_000_000

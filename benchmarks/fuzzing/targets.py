@@ -104,7 +104,7 @@ _ALL = (
         4096,
         _MANY,
     ),
-    Target("slcan_text", "lines of an slcan adapter", "wire", ("devices.slcan",), 1024, _MANY),
+    Target("slcan_text", "lines of an slcan adapter", "wire", ("devices.links.slcan",), 1024, _MANY),
     Target(
         "can_transfers",
         "long transfers over CAN, both directions of the receiver",

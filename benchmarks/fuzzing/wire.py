@@ -16,8 +16,8 @@ from devices.emulators.command_responder import CommandResponder, IdleDevice
 from devices.emulators.emulated_card import EmulatedCard
 from devices.emulators.makers_campaign import LANGUAGES
 from devices.link import Chunk, Framing
+from devices.links.slcan import SlcanDecoder
 from devices.marker_messages import MarkerReceiver, encode_markers
-from devices.slcan import SlcanDecoder
 from devices.transactions import Transactions
 from devices.vendor_protocols.mti import Mid, MtiCanDecoder, MtiDecoder, read_output_configuration
 from devices.vendor_protocols.mti import encode as encode_xbus

@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable, Sequence
 
-from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
-from devices.link_counts import LinkCounts
+from devices.links.arrivals import Arrivals
+from devices.links.link_counts import LinkCounts
 
 
 class LoopbackLink:

@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from devices.qtm_link import DEFAULT_PORT
+from devices.links.qtm_link import DEFAULT_PORT
 from gateway.body.skeleton import WornSuit
 from gateway.cli.export import export
 from gateway.cli.options import AsJson, Embedded, ReplaceFiles, refuse_existing, seconds_of, with_options
@@ -319,7 +319,7 @@ def play(
     as_json: AsJson = False,
 ) -> None:
     """Play a trial over MQTT like a live optical system: `watch`, `view` and all else see a suit."""
-    from devices.marker_file_link import MarkerFileLink
+    from devices.links.marker_file_link import MarkerFileLink
     from devices.marker_files import read_markers
     from gateway.service.further_bodies import further_bodies
     from gateway.service.service import Service

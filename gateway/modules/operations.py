@@ -15,7 +15,7 @@ from devices.device_backup import Restored, read_backup, restore_backup
 from devices.device_errors import DeviceError, UnfinishedError, UnknownDeviceError, WritesLockedError
 from devices.id_plan import plan_moves, spare_id
 from devices.link import Link, LinkError, gateway_time_ns
-from devices.reconnect import LinkState, ReconnectingLink
+from devices.links.reconnect import LinkState, ReconnectingLink
 from devices.roster import Device, Roster
 from devices.setting_values import encoded_setting
 from firmware_protocol import Defect

@@ -20,7 +20,7 @@ from devices.conformance import Outcome, check_module
 from devices.conformance.bench import Bench
 from devices.emulators.firmware_memory import FirmwareMemory
 from devices.endpoints import link_from_url
-from devices.socketcan_link import can_interfaces
+from devices.links.socketcan_link import can_interfaces
 from firmware_protocol import InertialSample, LogLine
 
 PROGRAM = Path(__file__).parents[2] / "build" / "firmware" / "module_posix_can"

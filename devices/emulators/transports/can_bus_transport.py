@@ -8,9 +8,9 @@ from typing import Any
 
 import can
 
-from devices.can_link import frame_of, message_of
 from devices.emulators.transports.transport import OnReceive, ignore
 from devices.link import Framing
+from devices.links.can_link import frame_of, message_of
 from firmware_protocol import CanFrame, pack_can_records, unpack_can_records
 
 _POLL_INTERVAL_S = 0.002

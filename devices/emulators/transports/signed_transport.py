@@ -8,7 +8,7 @@ from urllib.parse import quote
 from devices.emulators.transports.tcp_transport import TcpTransport
 from devices.emulators.transports.transport import OnReceive
 from devices.emulators.transports.udp_transport import UdpTransport
-from devices.signed_link import read_key
+from devices.links.signed_link import read_key
 from firmware_protocol import DELIMITER, RELAY
 from firmware_protocol.signing import SignedFrames
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from devices.emulators.transports.pty_transport import PtyTransport
 from devices.emulators.transports.transport import OnReceive, ignore
 from devices.link import Framing
-from devices.slcan import SlcanDecoder, encode_slcan
+from devices.links.slcan import SlcanDecoder, encode_slcan
 from firmware_protocol import pack_can_records, unpack_can_records
 
 _DONE, _REFUSED = b"\r", b"\x07"

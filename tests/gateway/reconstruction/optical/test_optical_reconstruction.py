@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.marker_file_link import trial_chunks
+from devices.links.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.body_file import load_body
 from gateway.body.rig import load_rig

@@ -9,9 +9,9 @@ import pytest
 
 from devices.emulators.transports import SignedTcpTransport, SignedUdpTransport, TcpTransport
 from devices.endpoints import EndpointError, link_from_url
-from devices.reconnect import ReconnectingLink
-from devices.signed_link import SignedLink, read_key, time_count, write_key
-from devices.udp_link import UdpLink
+from devices.links.reconnect import ReconnectingLink
+from devices.links.signed_link import SignedLink, read_key, time_count, write_key
+from devices.links.udp_link import UdpLink
 from firmware_protocol import encode_frame
 from firmware_protocol.golden import GOOD
 from firmware_protocol.signing import SignedFrames

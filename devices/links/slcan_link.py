@@ -7,8 +7,8 @@ import contextlib
 from collections.abc import AsyncIterator, Sequence
 
 from devices.link import Chunk, Framing, LinkError, LiveLink
-from devices.link_counts import LinkCounts
-from devices.slcan import CLOSE_COMMAND, SlcanDecoder, encode_slcan, open_commands
+from devices.links.link_counts import LinkCounts
+from devices.links.slcan import CLOSE_COMMAND, SlcanDecoder, encode_slcan, open_commands
 from firmware_protocol.can_framing import pack_can_records, unpack_can_records
 
 DEFAULT_DATA_BITRATE = 2_000_000

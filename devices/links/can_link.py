@@ -10,7 +10,7 @@ import can
 
 from devices.known_names import nearest
 from devices.link import Framing, LinkError
-from devices.reader_thread import ThreadLink
+from devices.links.reader_thread import ThreadLink
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
 
 # How long the reading thread may take to notice that the link is being closed.

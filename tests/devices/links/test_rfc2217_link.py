@@ -10,7 +10,7 @@ import serial
 from serial.rfc2217 import PortManager
 
 from devices.link import LinkError
-from devices.rfc2217_link import Rfc2217Link
+from devices.links.rfc2217_link import Rfc2217Link
 
 
 class SerialServer:

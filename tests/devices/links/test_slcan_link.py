@@ -10,8 +10,8 @@ import pytest
 
 from devices.emulators.loopback_link import loopback_pair
 from devices.link import Framing, LinkError
-from devices.serial_link import SerialLink
-from devices.slcan_link import SlcanLink
+from devices.links.serial_link import SerialLink
+from devices.links.slcan_link import SlcanLink
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
 from tests.patience import PATIENCE_S
 
@@ -75,7 +75,7 @@ async def test_cancelled_as_its_adapter_is_lost_it_does_not_go_on(monkeypatch, t
 
 
 async def test_adapter_that_takes_no_commands_is_told(pseudo_terminal, monkeypatch):
-    monkeypatch.setattr("devices.slcan_link._COMMAND_TIMEOUT_S", 0.02)
+    monkeypatch.setattr("devices.links.slcan_link._COMMAND_TIMEOUT_S", 0.02)
     near, _ = loopback_pair("deaf")
 
     async def never(_data: bytes) -> None:

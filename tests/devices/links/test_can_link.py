@@ -7,8 +7,8 @@ import asyncio
 import can
 import pytest
 
-from devices.can_link import CanLink
 from devices.link import Framing, LinkError
+from devices.links.can_link import CanLink
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
 from tests.patience import PATIENCE_S
 

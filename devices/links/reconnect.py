@@ -15,8 +15,8 @@ from typing import Any
 
 from devices.back_off import BackOff
 from devices.link import Link, LinkBusyError, LinkError, LinkItem
-from devices.link_counts import LinkCounts
-from devices.marker_file_link import MarkerFileLink
+from devices.links.link_counts import LinkCounts
+from devices.links.marker_file_link import MarkerFileLink
 from devices.replay_link import ReplayLink
 
 _log = logging.getLogger(__name__)

@@ -10,10 +10,10 @@ import struct
 
 import pytest
 
-from devices import socketcan_link
 from devices.link import Framing, LinkError
-from devices.link_counts import LostBefore
-from devices.socketcan_link import SocketCanLink, can_interfaces, frame_from_kernel, kernel_bytes
+from devices.links import socketcan_link
+from devices.links.link_counts import LostBefore
+from devices.links.socketcan_link import SocketCanLink, can_interfaces, frame_from_kernel, kernel_bytes
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
 from tests.patience import PATIENCE_S
 

@@ -9,7 +9,7 @@ import pytest
 
 from devices.endpoints import link_from_url
 from devices.link import Framing, LinkBusyError, LinkError, gateway_time_ns
-from devices.udp_link import UdpLink
+from devices.links.udp_link import UdpLink
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import socket
 import pytest
 
 from devices.link import Framing, LinkError
-from devices.tcp_link import TcpLink
+from devices.links.tcp_link import TcpLink
 from tests.patience import PATIENCE_S
 
 

@@ -14,9 +14,9 @@ import termios
 
 import pytest
 
-from devices import serial_ports
 from devices.link import Framing, LinkBusyError, LinkError
-from devices.serial_link import SerialLink
+from devices.links import serial_ports
+from devices.links.serial_link import SerialLink
 from tests.patience import PATIENCE_S
 
 EVERY_BYTE = bytes(range(256))

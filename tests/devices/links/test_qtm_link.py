@@ -16,11 +16,10 @@ from devices.back_off import BackOff
 from devices.emulators.qtm_stand_in import FILE_STARTED, Kind, QtmStandIn, packet, parameters
 from devices.endpoints import EndpointError, link_from_url
 from devices.link import LinkError
+from devices.links.qtm_link import DEFAULT_PORT, HEADER, QtmLink, QtmPacketError, marking_of, packets_of
+from devices.links.reconnect import LinkState, ReconnectingLink
 from devices.marker_files import MarkerTrial
 from devices.marker_messages import MarkerMessage, MarkerReceiver
-from devices.qtm_link import DEFAULT_PORT, QtmLink
-from devices.qtm_packets import HEADER, QtmPacketError, marking_of, packets_of
-from devices.reconnect import LinkState, ReconnectingLink
 from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
 

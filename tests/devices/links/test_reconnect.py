@@ -12,9 +12,9 @@ from devices.back_off import BackOff
 from devices.emulators.loopback_link import loopback_pair
 from devices.endpoints import link_from_url
 from devices.link import Chunk, Framing, Link, LinkBusyError, LinkError
-from devices.reconnect import LinkState, LinkStatus, ReconnectingLink, kept_open
-from devices.serial_link import SerialLink
-from devices.tcp_link import TcpLink
+from devices.links.reconnect import LinkState, LinkStatus, ReconnectingLink, kept_open
+from devices.links.serial_link import SerialLink
+from devices.links.tcp_link import TcpLink
 from tests.patience import PATIENCE_S
 
 UP, DOWN, CLOSED, CONNECTING = LinkState.UP, LinkState.DOWN, LinkState.CLOSED, LinkState.CONNECTING

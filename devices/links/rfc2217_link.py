@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import serial
 
 from devices.link import Framing, LinkError
-from devices.reader_thread import ThreadLink
-from devices.serial_link import DEFAULT_BAUD
+from devices.links.reader_thread import ThreadLink
+from devices.links.serial_link import DEFAULT_BAUD
 
 # How long the reading thread may take to notice that the link is being closed.
 _READ_TIMEOUT_S = 0.05

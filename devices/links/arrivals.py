@@ -7,7 +7,7 @@ from collections import deque
 from typing import Self
 
 from devices.link import Chunk, LinkError
-from devices.link_counts import LinkCounts
+from devices.links.link_counts import LinkCounts
 
 # More than a minute of the busiest serial line. A reader that is further behind has failed; keeping
 # more would only trade memory for data that is too old to use.

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.slcan import SlcanDecoder, encode_slcan, open_commands
+from devices.links.slcan import SlcanDecoder, encode_slcan, open_commands
 from firmware_protocol.can_framing import FD_LENGTHS, CanFrame
 
 # Lines with their meaning; the first two are examples of the LAWICEL CANUSB manual.

@@ -9,9 +9,9 @@ import socket
 from collections.abc import AsyncIterator, Collection, Sequence
 from typing import Any
 
-from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
-from devices.link_counts import (
+from devices.links.arrivals import Arrivals
+from devices.links.link_counts import (
     ANCILLARY_SIZE,
     LinkCounts,
     LostBefore,
@@ -19,7 +19,7 @@ from devices.link_counts import (
     ask_for_drops,
     reported_drops,
 )
-from devices.listening import Address, Network, Peers, listen_error, name_of
+from devices.links.listening import Address, Network, Peers, listen_error, name_of
 
 _log = logging.getLogger(__name__)
 

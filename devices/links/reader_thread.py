@@ -9,9 +9,9 @@ from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable
 from typing import Generic, TypeVar
 
-from devices.arrivals import Arrivals
 from devices.link import Chunk, LinkError, gateway_time_ns
-from devices.link_counts import LinkCounts
+from devices.links.arrivals import Arrivals
+from devices.links.link_counts import LinkCounts
 
 T = TypeVar("T")
 

@@ -6,9 +6,9 @@ import asyncio
 
 import pytest
 
-from devices.arrivals import HAND_OVER_S, SMALL_BYTES, Arrivals
 from devices.link import Chunk, LinkError
-from devices.link_counts import LinkCounts
+from devices.links.arrivals import HAND_OVER_S, SMALL_BYTES, Arrivals
+from devices.links.link_counts import LinkCounts
 
 
 async def test_chunks_come_in_order_with_their_times():

@@ -11,7 +11,7 @@ from collections.abc import Collection
 from typing import Any
 
 from devices.link import LinkBusyError, LinkError
-from devices.link_counts import LinkCounts
+from devices.links.link_counts import LinkCounts
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 Address = tuple[Any, ...]

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from devices.link import Chunk, LinkError, LiveLink
-from devices.link_counts import LinkCounts
+from devices.links.link_counts import LinkCounts
 from firmware_protocol import DELIMITER, Defect
 from firmware_protocol.signing import KEY_SIZE, SignedFrames
 

@@ -17,9 +17,9 @@ from collections.abc import AsyncIterator, Sequence
 from enum import Enum
 from pathlib import Path
 
-from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
-from devices.link_counts import (
+from devices.links.arrivals import Arrivals
+from devices.links.link_counts import (
     ANCILLARY_SIZE,
     LinkCounts,
     LostBefore,

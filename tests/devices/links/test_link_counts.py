@@ -10,10 +10,10 @@ import socket
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices import link_counts, udp_link
-from devices.arrivals import Arrivals
-from devices.link_counts import LinkCounts, LostBefore, SerialErrors
-from devices.udp_link import UdpLink
+from devices.links import link_counts, udp_link
+from devices.links.arrivals import Arrivals
+from devices.links.link_counts import LinkCounts, LostBefore, SerialErrors
+from devices.links.udp_link import UdpLink
 from tests.patience import PATIENCE_S
 
 
