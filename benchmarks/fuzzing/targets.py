@@ -120,7 +120,7 @@ _ALL = (
         (
             "firmware_protocol.commands",
             "firmware_protocol.device_settings",
-            "devices.transactions",
+            "devices.commands.transactions",
             "devices.emulators.command_responder",
         ),
         2048,
@@ -136,7 +136,7 @@ _ALL = (
         2048,
         _MANY,
     ),
-    Target("card_file", "a memory card's file, to a recording", "wire", ("devices.card_recording",), 4096),
+    Target("card_file", "a memory card's file, to a recording", "wire", ("devices.commands.card",), 4096),
     Target("gateway_file", "gateway.yaml", "configuration", _SETTINGS, 4096),
     Target(
         "rig_file",

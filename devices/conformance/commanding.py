@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from devices.command_client import host_bytes
+from devices.commands.command_client import host_bytes
 from devices.conformance.bench import PATIENCE_S, Bench
 from devices.conformance.rule import SkippedError, demand, rule
 from devices.conformance.streaming import needs_own_timer, samples

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, urlsplit
 
-from devices.device_errors import DeviceError
+from devices.commands.device_errors import DeviceError
 from devices.endpoints import link_from_url
 from devices.line_rate import DEFAULT_BITRATE, CanRate, UartRate, line_rate
 from devices.link import SUIT, LinkBusyError, LinkError

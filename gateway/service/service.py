@@ -10,7 +10,7 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
-from devices.command_client import CommandClient
+from devices.commands.command_client import CommandClient
 from devices.link import (
     SUIT,
     Chunk,

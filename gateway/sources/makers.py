@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, Typ
 
 from pydantic import Field
 
-from devices.device_errors import DeviceError
+from devices.commands.device_errors import DeviceError
 from devices.link import Chunk, SentChunk
 from firmware_protocol import DeviceInfo, Health
 from gateway.contract.balances import Balance

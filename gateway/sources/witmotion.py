@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from devices.device_errors import DeviceError, NoAnswerError, UnfinishedError
+from devices.commands.device_errors import DeviceError, NoAnswerError, UnfinishedError
 from devices.link import Chunk
 from devices.vendor_protocols.witmotion import (
     BAUDS,

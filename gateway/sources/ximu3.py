@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from devices.device_errors import DeviceError
+from devices.commands.device_errors import DeviceError
 from devices.link import Chunk
 from devices.vendor_protocols.ximu3 import (
     COMMAND_PORT,

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from devices import recording_format as fmt
 from devices.cameras.heat_map_messages import retimed
-from devices.command_client import host_bytes
+from devices.commands.command_client import host_bytes
 from devices.emulators import (
     ROUGH,
     TYPICAL,

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from devices.command_client import CommandClient
-from devices.configure import Configurator
+from devices.commands.command_client import CommandClient
+from devices.commands.configure import Configurator
 from devices.conformance import Outcome, check_module
 from devices.conformance.bench import Bench
 from devices.emulators.firmware_memory import FirmwareMemory

@@ -30,7 +30,7 @@ pytestmark = pytest.mark.system
 RIG = "robot_arm_4"
 STILL = "gateway.modules.motion.LEAST_SWING", 1e3
 """The arm moves on its own, now and then as if it were shaken: what says itself that it was tapped counts."""
-SHORT_LOOK = "devices.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4)
+SHORT_LOOK = "devices.commands.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4)
 """Four modules without a relay answer within 10 ms, unless the machine is busy."""
 
 

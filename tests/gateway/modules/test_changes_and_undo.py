@@ -7,7 +7,12 @@ import os
 
 import pytest
 
-from devices.device_errors import CommandRefusedError, DeviceError, UnfinishedError, WritesLockedError
+from devices.commands.device_errors import (
+    CommandRefusedError,
+    DeviceError,
+    UnfinishedError,
+    WritesLockedError,
+)
 from devices.emulators.power_cut import PowerCut
 from firmware_protocol.commands import Verb
 from gateway.modules.journal import JournalError

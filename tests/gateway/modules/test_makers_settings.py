@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from devices.device_errors import DeviceError, NoAnswerError, UnfinishedError
+from devices.commands.device_errors import DeviceError, NoAnswerError, UnfinishedError
 from devices.emulators.mti_emulator import MtiEmulator
 from devices.emulators.witmotion_emulator import WitMotionCanEmulator, WitMotionEmulator
 from devices.emulators.ximu3_emulator import Ximu3Emulator

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from devices.command_client import CommandClient
-from devices.device_errors import (
+from devices.commands.command_client import CommandClient
+from devices.commands.device_errors import (
     CommandRefusedError,
     DeviceError,
     NoAnswerError,
@@ -24,11 +24,10 @@ from devices.device_errors import (
     UnverifiedError,
     WritesLockedError,
 )
-from devices.id_plan import plan_moves
+from devices.commands.roster import Device, Roster, conflicts, plan_moves
+from devices.commands.setting_values import SETTING_KEYS, Value, decoded_setting, encoded_setting, setting_key
+from devices.commands.transactions import Answer
 from devices.link import LinkError
-from devices.roster import Device, Roster, conflicts
-from devices.setting_values import SETTING_KEYS, Value, decoded_setting, encoded_setting, setting_key
-from devices.transactions import Answer
 from firmware_protocol.commands import Result, Verb, decode_payload
 from firmware_protocol.framing import SUPPORTED
 

@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from devices.transactions import BROADCAST_WAITS_S, SINGLE_WAITS_S, Transactions
+from devices.commands.transactions import BROADCAST_WAITS_S, SINGLE_WAITS_S, Transactions
 from firmware_protocol import BROADCAST
 from firmware_protocol.commands import Result, Verb
 from firmware_protocol.messages import ANYONE, Acknowledgement

@@ -7,8 +7,8 @@ from collections import Counter
 
 import pytest
 
-from devices.command_client import CommandClient
-from devices.device_errors import CommandRefusedError, NoAnswerError, WritesLockedError
+from devices.commands.command_client import CommandClient
+from devices.commands.device_errors import CommandRefusedError, NoAnswerError, WritesLockedError
 from devices.link import Chunk, Framing, LinkError
 from firmware_protocol import Acknowledgement, FrameDecoder, Kind, decode_body, encode_frame
 from firmware_protocol.commands import Result, Verb
@@ -111,7 +111,7 @@ async def test_a_device_locked_by_itself_says_so(commanded_suit):
 
 
 async def test_silence_is_named_after_so_many_attempts(commanded_suit, monkeypatch):
-    monkeypatch.setattr("devices.transactions.SINGLE_WAITS_S", (0.02, 0.04, 0.08))
+    monkeypatch.setattr("devices.commands.transactions.SINGLE_WAITS_S", (0.02, 0.04, 0.08))
     async with commanded_suit() as suit:
         client = CommandClient([suit.link])
         async with client.reading():
@@ -156,7 +156,7 @@ async def test_one_dead_link_does_not_keep_a_command_from_the_others(commanded_s
 
 
 async def test_no_link_that_takes_a_command_is_the_links_error(monkeypatch):
-    monkeypatch.setattr("devices.transactions.SINGLE_WAITS_S", (0.01, 0.01))
+    monkeypatch.setattr("devices.commands.transactions.SINGLE_WAITS_S", (0.01, 0.01))
     client = CommandClient([DeadLink()])
     with pytest.raises(LinkError, match="dead was unplugged"):
         await client.request(b"one.........", Verb.HELLO, 1, 1)

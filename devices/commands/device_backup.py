@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from devices.configure import Change, Configurator
-from devices.device_errors import DeviceError, UnfinishedError, WritesLockedError
-from devices.id_plan import plan_moves
+from devices.commands.configure import Change, Configurator
+from devices.commands.device_errors import DeviceError, UnfinishedError, WritesLockedError
+from devices.commands.roster import Roster, plan_moves
+from devices.commands.setting_values import Value, encoded_setting
 from devices.link import LinkError
-from devices.roster import Roster
-from devices.setting_values import Value, encoded_setting
 
 
 @dataclass

@@ -7,10 +7,10 @@ import contextlib
 
 import pytest
 
-from devices.command_client import CommandClient
-from devices.configure import Configurator
-from devices.device_backup import read_backup, restore_backup
-from devices.device_errors import (
+from devices.commands.command_client import CommandClient
+from devices.commands.configure import Configurator
+from devices.commands.device_backup import read_backup, restore_backup
+from devices.commands.device_errors import (
     CommandRefusedError,
     NoAnswerError,
     UnfinishedError,

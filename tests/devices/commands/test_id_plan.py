@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from devices.id_plan import plan_moves, spare_id
+from devices.commands.roster import plan_moves, spare_id
 
 
 def uid(n):

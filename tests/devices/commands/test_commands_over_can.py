@@ -4,8 +4,8 @@ import asyncio
 
 import pytest
 
-from devices.command_client import CommandClient
-from devices.configure import Configurator
+from devices.commands.command_client import CommandClient
+from devices.commands.configure import Configurator
 from devices.emulators.delivery import Encoding
 from devices.emulators.transports import CanBusTransport, SlcanTransport, TcpTransport
 from devices.endpoints import link_from_url

@@ -7,10 +7,9 @@ import zlib
 
 import pytest
 
-from devices.card_download import Card, CardFile, download
-from devices.card_recording import LINK, convert_card_file
-from devices.command_client import CommandClient
-from devices.device_errors import CardError, CommandRefusedError
+from devices.commands.card import LINK, Card, CardFile, convert_card_file, download
+from devices.commands.command_client import CommandClient
+from devices.commands.device_errors import CardError, CommandRefusedError
 from devices.link import Framing
 from devices.recording_file import RecordingFile
 from firmware_protocol import RELAY, FrameDecoder, WireFrame, encode_frame

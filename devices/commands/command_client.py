@@ -17,10 +17,10 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable, Collection, Iterable, Sequence
 from typing import Any
 
-from devices.device_errors import CommandRefusedError, DeviceError, NoAnswerError, WritesLockedError
+from devices.commands.device_errors import CommandRefusedError, DeviceError, NoAnswerError, WritesLockedError
+from devices.commands.transactions import Answer, Exchange, Transactions
 from devices.link import Chunk, Framing, Link, LinkError, SentChunk, gateway_time_ns
 from devices.link_decoder import LinkDecoder
-from devices.transactions import Answer, Exchange, Transactions
 from firmware_protocol import (
     BROADCAST,
     DeviceInfo,
