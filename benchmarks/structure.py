@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 from benchmarks.figures import replace_section, table
 from devices.emulators import Imperfections, SuitSettings, SuitTraffic
-from devices.emulators.motions import generic_motion
+from devices.emulators.motion.motions import generic_motion
 from devices.link import Chunk, Framing
 from gateway.body.rig import load_rig
 from gateway.contract.topics import Topics

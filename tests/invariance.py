@@ -15,8 +15,8 @@ from hypothesis import Phase, settings
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.ideal_sensors import sense
-from devices.emulators.motions import BodyMotion, gait_motion, generic_motion
-from devices.emulators.waves import Fade
+from devices.emulators.motion.motions import BodyMotion, gait_motion, generic_motion
+from devices.emulators.motion.waves import Fade
 from devices.link import Chunk
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import BodyMarkers, LocalDevice, Skeleton, WornSuit, field_vector

@@ -23,13 +23,13 @@ from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.emulated_device import EmulatedDevice
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit, SuitCounts
 from devices.emulators.imperfections import IDEAL, PRESETS, ROUGH, TYPICAL, Imperfections
-from devices.emulators.kinematics_truth import MotionState
-from devices.emulators.motions import MOTIONS, BodyMotion, generic_motion
+from devices.emulators.motion.kinematics_truth import MotionState
+from devices.emulators.motion.motions import MOTIONS, BodyMotion, generic_motion
+from devices.emulators.motion.waves import Fade
 from devices.emulators.power_cut import Moment, PowerCut
 from devices.emulators.recordings import RecordedTracks, play
 from devices.emulators.suit_settings import SuitSettings
 from devices.emulators.suit_traffic import SuitTraffic
-from devices.emulators.waves import Fade
 
 __all__ = [
     "IDEAL",

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.ideal_sensors import GRAVITY, MAGNETIC_FIELD, sense
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.sample_encoding import SENSORS
 from devices.emulators.stored_settings import provision
 from firmware_protocol import InertialSample

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from devices.emulators.bodies import STANDARD_GRAVITY, FloatArray
-from devices.emulators.kinematics_truth import MotionState
+from devices.emulators.motion.kinematics_truth import MotionState
 
 GRAVITY: FloatArray = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 """(3,) world ENU, m/s²."""

@@ -8,7 +8,7 @@ from devices.deferred import Rotation
 from devices.emulators.bodies import EmulatedLocalDevice, FloatArray
 from devices.emulators.ideal_sensors import AIR_VELOCITY, VELOCITY, measure_point
 from devices.emulators.imperfections import module_random
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.sampling import Sampling
 from devices.emulators.sender import Timed
 from firmware_protocol import LocalMeasurement, PressureSample, encode_packet

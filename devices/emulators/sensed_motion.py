@@ -14,7 +14,7 @@ import numpy as np
 
 from devices.emulators.bodies import FloatArray, IntArray
 from devices.emulators.ideal_sensors import sense
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.motions import BodyMotion
 
 
 class Sensed(NamedTuple):

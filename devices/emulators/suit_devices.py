@@ -22,7 +22,7 @@ from devices.emulators.imperfections import (
     module_random,
 )
 from devices.emulators.inertial_sampler import InertialSampler
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.relay_device import RelayDevice
 from devices.emulators.sample_encoding import SampleEncoder
 from devices.emulators.sampling import RAW

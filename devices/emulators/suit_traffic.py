@@ -24,7 +24,7 @@ from devices.emulators.emulated_device import EmulatedDevice
 from devices.emulators.host_side import Broadcaster, FromHost, RadioToDevice
 from devices.emulators.imperfections import IDEAL, Imperfections
 from devices.emulators.local_sampler import LocalSampler
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.power_cut import OFF_S
 from devices.emulators.relay_device import RelayDevice
 from devices.emulators.sampling import Sampling

@@ -8,7 +8,7 @@ import contextlib
 import numpy as np
 
 from devices.emulators.imperfections import Imperfections
-from devices.emulators.motions import generic_motion
+from devices.emulators.motion.motions import generic_motion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.vendor_emulator import MixedSuit
 from devices.emulators.ximu3_emulator import Ximu3Emulator

@@ -18,8 +18,8 @@ from devices.emulators.imperfections import (
     draw_errors,
     module_random,
 )
-from devices.emulators.kinematics_truth import MotionState
-from devices.emulators.motions import pendulum_motion, walking_motion
+from devices.emulators.motion.kinematics_truth import MotionState
+from devices.emulators.motion.motions import pendulum_motion, walking_motion
 
 IDENTITY = np.eye(3)[None]
 

@@ -11,7 +11,7 @@ import pytest
 from devices.emulators.delivery import Encoding
 from devices.emulators.emulated_suit import EmulatedSuit
 from devices.emulators.loopback_link import loopback_pair
-from devices.emulators.motions import robot_arm_motion
+from devices.emulators.motion.motions import robot_arm_motion
 from devices.emulators.suit_settings import SuitSettings
 from devices.emulators.suit_traffic import SuitTraffic
 from devices.emulators.transports import (

@@ -18,9 +18,9 @@ import numpy as np
 
 from devices.deferred import BPoly, Rotation, gaussian_filter1d, make_interp_spline
 from devices.emulators.bodies import EmulatedBody, FloatArray, IntArray
-from devices.emulators.legs import Leg, foot_turn, leg_angles_of, leg_of
-from devices.emulators.stride import Stride, bump, harmonics, pitch
-from devices.emulators.waves import Derivatives, Fade
+from devices.emulators.motion.legs import Leg, foot_turn, leg_angles_of, leg_of
+from devices.emulators.motion.stride import Stride, bump, harmonics, pitch
+from devices.emulators.motion.waves import Derivatives, Fade
 
 STRIDE_HZ = 0.9
 GRID_HZ = 100.0

@@ -23,7 +23,7 @@ import numpy as np
 
 from devices.deferred import Rotation
 from devices.emulators.bodies import EmulatedBody, FloatArray, IntArray
-from devices.emulators.waves import Derivatives, Fade
+from devices.emulators.motion.waves import Derivatives, Fade
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from devices.deferred import Rotation
 from devices.emulators.bodies import NO_PARENT, EmulatedBody, FloatArray, IntArray
-from devices.emulators.kinematics_truth import MotionState
-from devices.emulators.motions import BodyMotion
-from devices.emulators.waves import waves
+from devices.emulators.motion.kinematics_truth import MotionState
+from devices.emulators.motion.motions import BodyMotion
+from devices.emulators.motion.waves import waves
 
 REST_S = 2.0
 """In each of the positions of the first part."""
