@@ -16,7 +16,6 @@ import numpy as np
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.command_responder import CommandResponder
-from devices.emulators.disturbances import Disturbance
 from devices.emulators.emulated_card import EmulatedCard
 from devices.emulators.emulated_flash import EmulatedFlash, PowerLost
 from devices.emulators.imperfections import ModuleClock
@@ -24,6 +23,7 @@ from devices.emulators.power_cut import OFF_S, Moment, PowerCut
 from devices.emulators.sampling import TRIGGERED, SampleSettings, Sampling, Trigger
 from devices.emulators.sampling_timer import SamplingTimer
 from devices.emulators.sender import Sender, Timed
+from devices.emulators.sensing.disturbances import Disturbance
 from devices.emulators.status_reports import StatusReports, device_info
 from devices.emulators.stored_settings import KEYS, StoredSettings
 from firmware_protocol import (

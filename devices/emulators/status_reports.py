@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from devices.emulators.sample_encoding import SENSORS
 from devices.emulators.sampling_timer import SamplingTimer, Schedule
 from devices.emulators.sender import Sender, Timed
+from devices.emulators.sensing.sample_encoding import SENSORS
 from firmware_protocol import DeviceInfo, Health
 
 DEFAULT_RANGES: Mapping[str, float] = {

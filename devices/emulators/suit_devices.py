@@ -21,12 +21,12 @@ from devices.emulators.imperfections import (
     draw_errors,
     module_random,
 )
-from devices.emulators.inertial_sampler import InertialSampler
 from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.relay_device import RelayDevice
-from devices.emulators.sample_encoding import SampleEncoder
 from devices.emulators.sampling import RAW
-from devices.emulators.sensed_motion import SensedMotion
+from devices.emulators.sensing.ideal_sensors import SensedMotion
+from devices.emulators.sensing.inertial_sampler import InertialSampler
+from devices.emulators.sensing.sample_encoding import SampleEncoder
 from devices.emulators.status_reports import DEFAULT_RANGES
 from devices.emulators.stored_settings import provision
 from devices.emulators.suit_settings import SuitSettings

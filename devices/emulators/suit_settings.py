@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.delivery import Encoding
-from devices.emulators.ideal_sensors import GRAVITY, MAGNETIC_FIELD
-from devices.emulators.light_sampler import Sunlight
-from devices.emulators.sample_encoding import SENSORS
+from devices.emulators.sensing.ideal_sensors import GRAVITY, MAGNETIC_FIELD
+from devices.emulators.sensing.light_sampler import Sunlight
+from devices.emulators.sensing.sample_encoding import SENSORS
 from devices.emulators.vendor_emulator import VendorEmulator
 from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S
 

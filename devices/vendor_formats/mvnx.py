@@ -18,8 +18,8 @@ from defusedxml.ElementTree import iterparse
 
 from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
-from devices.emulators.ideal_sensors import POSITION
 from devices.emulators.recordings import FusedTrack, LocalTrack, RecordedTracks
+from devices.emulators.sensing.ideal_sensors import POSITION
 from devices.vendor_formats.gaps import checked_rate, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, refuse_device

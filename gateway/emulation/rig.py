@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from devices.emulators.bodies import NO_MODULE, EmulatedBody, EmulatedLocalDevice, emulated_body
-from devices.emulators.light_sampler import Sunlight
 from devices.emulators.motion.calibrating import calibration_motion
 from devices.emulators.motion.gait import WALK
 from devices.emulators.motion.motions import (
@@ -20,6 +19,7 @@ from devices.emulators.motion.motions import (
     robot_arm_motion,
 )
 from devices.emulators.motion.tumbling import TumblingMotion
+from devices.emulators.sensing.light_sampler import Sunlight
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import Quantity
 from gateway.geometry import quaternion

@@ -32,10 +32,10 @@ from devices.emulators import (
 )
 from devices.emulators.bno08x_emulator import Bno08xEmulator
 from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
-from devices.emulators.light_sampler import Shade
 from devices.emulators.mocopi_emulator import mocopi_emulators
 from devices.emulators.mti_emulator import MtiCanEmulator, MtiEmulator
 from devices.emulators.mvn_emulator import mvn_emulators
+from devices.emulators.sensing.light_sampler import Shade
 from devices.emulators.slimevr_emulator import SlimevrEmulator
 from devices.emulators.vendor_emulator import MixedSuit, VendorEmulator
 from devices.emulators.witmotion_emulator import WitMotionCanEmulator, WitMotionEmulator
