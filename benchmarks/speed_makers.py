@@ -6,8 +6,8 @@ import time
 
 from benchmarks.figures import Figure
 from devices.emulators.delivery import Encoding
+from devices.emulators.device.sampling import FUSED, RAW
 from devices.emulators.motion.motions import generic_motion
-from devices.emulators.sampling import FUSED, RAW
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.vendor_emulators import VENDOR_EMULATORS
 from devices.link import Chunk, SentChunk

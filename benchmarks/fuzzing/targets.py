@@ -121,7 +121,7 @@ _ALL = (
             "firmware_protocol.commands",
             "firmware_protocol.device_settings",
             "devices.commands.transactions",
-            "devices.emulators.command_responder",
+            "devices.emulators.device.command_responder",
         ),
         2048,
         _MANY,

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from devices.commands.card import convert_card_file
 from devices.commands.transactions import Transactions
-from devices.emulators.command_responder import CommandResponder, IdleDevice
-from devices.emulators.emulated_card import EmulatedCard
+from devices.emulators.device.command_responder import CommandResponder, IdleDevice
+from devices.emulators.device.emulated_card import EmulatedCard
 from devices.emulators.makers_campaign import LANGUAGES
 from devices.link import Chunk, Framing
 from devices.links.slcan import SlcanDecoder

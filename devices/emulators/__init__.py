@@ -20,13 +20,13 @@ their instant; no receiver can tell the constant part from the clock's offset.
 from devices.emulators.bench import bench_suit
 from devices.emulators.bodies import NO_MODULE, EmulatedBody, EmulatedLocalDevice, emulated_body
 from devices.emulators.delivery import Encoding, Transmission
-from devices.emulators.emulated_device import EmulatedDevice
+from devices.emulators.device.emulated_device import EmulatedDevice
+from devices.emulators.device.emulated_flash import Moment, PowerCut
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit, SuitCounts
 from devices.emulators.imperfections import IDEAL, PRESETS, ROUGH, TYPICAL, Imperfections
 from devices.emulators.motion.kinematics_truth import MotionState
 from devices.emulators.motion.motions import MOTIONS, BodyMotion, generic_motion
 from devices.emulators.motion.waves import Fade
-from devices.emulators.power_cut import Moment, PowerCut
 from devices.emulators.recordings import RecordedTracks, play
 from devices.emulators.suit_settings import SuitSettings
 from devices.emulators.suit_traffic import SuitTraffic

@@ -9,8 +9,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.random import Generator
 
+from devices.emulators.device.sender import Timed
 from devices.emulators.imperfections import Imperfections
-from devices.emulators.sender import Timed
 from devices.link import Framing
 from firmware_protocol import (
     WireFrame,

@@ -12,7 +12,7 @@ from collections import Counter
 from dataclasses import replace
 
 from devices.emulators.delivery import Transmission
-from devices.emulators.emulated_device import EmulatedDevice
+from devices.emulators.device.emulated_device import EmulatedDevice
 from devices.emulators.emulated_suit import EmulatedSuit
 from devices.emulators.fault_plan import ClockJump, FaultPlan, IdConflict, Reset, Stall, Unplug
 from devices.emulators.fault_windows import FaultWindows

@@ -8,9 +8,9 @@ from collections import Counter, defaultdict
 from dataclasses import replace
 from typing import Any
 
+from devices.emulators.device.sender import Timed
 from devices.emulators.fault_plan import FaultPlan, Magnet, NotFinite, Saturated, Stuck
 from devices.emulators.fault_windows import FaultWindows
-from devices.emulators.sender import Timed
 from firmware_protocol import (
     InertialSample,
     InertialSampleFine,

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from devices.deferred import VQF
-from devices.emulators.emulated_device import EmulatedDevice
+from devices.emulators.device.emulated_device import EmulatedDevice
 from devices.emulators.vendor_emulator import GRAVITY, Sensed, VendorEmulator
 from devices.vendor_protocols import slimevr as wire
 from devices.vendor_protocols.slimevr import Battery, Handshake, Kind, SensorInfo, SettingDone, Temperature

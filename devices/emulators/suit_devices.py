@@ -10,9 +10,12 @@ import numpy as np
 
 from devices.deferred import Rotation
 from devices.emulators.bodies import NO_MODULE, EmulatedBody, FloatArray, IntArray
-from devices.emulators.emulated_card import EmulatedCard
-from devices.emulators.emulated_device import EmulatedDevice, Equipment
-from devices.emulators.emulated_flash import EmulatedFlash
+from devices.emulators.device.emulated_card import EmulatedCard
+from devices.emulators.device.emulated_device import EmulatedDevice, Equipment
+from devices.emulators.device.emulated_flash import EmulatedFlash, provision
+from devices.emulators.device.relay_device import RelayDevice
+from devices.emulators.device.sampling import RAW
+from devices.emulators.device.status_reports import DEFAULT_RANGES
 from devices.emulators.imperfections import (
     Imperfections,
     ModuleClock,
@@ -22,13 +25,9 @@ from devices.emulators.imperfections import (
     module_random,
 )
 from devices.emulators.motion.motions import BodyMotion
-from devices.emulators.relay_device import RelayDevice
-from devices.emulators.sampling import RAW
 from devices.emulators.sensing.ideal_sensors import SensedMotion
 from devices.emulators.sensing.inertial_sampler import InertialSampler
 from devices.emulators.sensing.sample_encoding import SampleEncoder
-from devices.emulators.status_reports import DEFAULT_RANGES
-from devices.emulators.stored_settings import provision
 from devices.emulators.suit_settings import SuitSettings
 from firmware_protocol import RELAY, InertialSample, InertialSampleFine
 

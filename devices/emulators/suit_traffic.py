@@ -19,14 +19,14 @@ import numpy as np
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.delivery import Delivery, PacketFaults, Transmission
-from devices.emulators.emulated_device import EmulatedDevice
+from devices.emulators.device.emulated_device import EmulatedDevice
+from devices.emulators.device.emulated_flash import OFF_S
+from devices.emulators.device.relay_device import RelayDevice
+from devices.emulators.device.sampling import Sampling
+from devices.emulators.device.sender import Sender, Timed
 from devices.emulators.host_side import Broadcaster, FromHost, RadioToDevice
 from devices.emulators.imperfections import IDEAL, Imperfections
 from devices.emulators.motion.motions import BodyMotion
-from devices.emulators.power_cut import OFF_S
-from devices.emulators.relay_device import RelayDevice
-from devices.emulators.sampling import Sampling
-from devices.emulators.sender import Sender, Timed
 from devices.emulators.sensing.disturbances import Shake, Tap
 from devices.emulators.sensing.local_sampler import LocalSampler
 from devices.emulators.suit_devices import AIR, HOST, RADIO, UPLINK, SuitParts

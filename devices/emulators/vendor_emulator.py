@@ -13,7 +13,7 @@ import numpy as np
 from numpy.random import Generator
 
 from devices.emulators.delivery import Encoding
-from devices.emulators.emulated_device import EmulatedDevice
+from devices.emulators.device.emulated_device import EmulatedDevice
 from devices.link import Framing
 from firmware_protocol import (
     FrameDecoder,

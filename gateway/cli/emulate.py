@@ -24,6 +24,7 @@ from rich.markup import escape
 from devices.calibration_script import begin_of_script
 from devices.emulators.bodies import FloatArray
 from devices.emulators.delivery import Encoding, Transmission
+from devices.emulators.device.sampling import FUSED, RAW, TRIGGERED
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
 from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit, pull_cable
@@ -33,7 +34,6 @@ from devices.emulators.motion.calibrating import strapped_on
 from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.recording_formats import READERS
 from devices.emulators.recordings import RecordedTracks, play
-from devices.emulators.sampling import FUSED, RAW, TRIGGERED
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import (
     CanBusTransport,

@@ -10,8 +10,8 @@ import numpy as np
 import typer
 import yaml
 
+from devices.emulators.device.sampling import FUSED
 from devices.emulators.emulated_suit import EmulatedSuit
-from devices.emulators.sampling import FUSED
 from devices.emulators.suit_traffic import SuitTraffic
 from devices.emulators.vendor_emulator import VendorEmulator
 from devices.emulators.vendor_emulators import VENDOR_EMULATORS

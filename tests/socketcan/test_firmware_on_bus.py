@@ -18,7 +18,7 @@ from devices.commands.command_client import CommandClient
 from devices.commands.configure import Configurator
 from devices.conformance import Outcome, check_module
 from devices.conformance.bench import Bench
-from devices.emulators.firmware_memory import FirmwareMemory
+from devices.emulators.device.firmware_memory import FirmwareMemory
 from devices.endpoints import link_from_url
 from devices.links.socketcan_link import can_interfaces
 from firmware_protocol import InertialSample, LogLine

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from devices.emulators.power_cut import Moment, PowerCut
+from devices.emulators.device.emulated_flash import Moment, PowerCut
 from devices.emulators.transports import PtyTransport
 from firmware_protocol import RELAY
 from firmware_protocol.commands import Verb

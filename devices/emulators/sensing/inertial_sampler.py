@@ -13,9 +13,9 @@ import numpy as np
 
 from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
+from devices.emulators.device.sampling import FUSED, Sampling
+from devices.emulators.device.sender import Timed
 from devices.emulators.imperfections import Imperfections, ModuleErrors, module_random
-from devices.emulators.sampling import FUSED, Sampling
-from devices.emulators.sender import Timed
 from devices.emulators.sensing.disturbances import Disturbance, felt
 from devices.emulators.sensing.ideal_sensors import Sensed, SensedMotion, Wanted
 from devices.emulators.sensing.light_sampler import LightSampler, Sunlight

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from devices.emulators.bodies import FloatArray
+from devices.emulators.device.sampling import Sampling
+from devices.emulators.device.sender import Timed
 from devices.emulators.imperfections import module_random
-from devices.emulators.sampling import Sampling
-from devices.emulators.sender import Timed
 from firmware_protocol import LightSample, encode_packet
 
 FACES: FloatArray = np.vstack([[axis, -axis] for axis in np.eye(3)])

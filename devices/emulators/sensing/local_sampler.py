@@ -6,10 +6,10 @@ import numpy as np
 
 from devices.deferred import Rotation
 from devices.emulators.bodies import EmulatedLocalDevice, FloatArray
+from devices.emulators.device.sampling import Sampling
+from devices.emulators.device.sender import Timed
 from devices.emulators.imperfections import module_random
 from devices.emulators.motion.motions import BodyMotion
-from devices.emulators.sampling import Sampling
-from devices.emulators.sender import Timed
 from devices.emulators.sensing.ideal_sensors import AIR_VELOCITY, VELOCITY, measure_point
 from firmware_protocol import LocalMeasurement, PressureSample, encode_packet
 

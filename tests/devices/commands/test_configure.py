@@ -17,7 +17,7 @@ from devices.commands.device_errors import (
     UnknownDeviceError,
     WritesLockedError,
 )
-from devices.emulators.power_cut import Moment, PowerCut
+from devices.emulators.device.emulated_flash import Moment, PowerCut
 from firmware_protocol.commands import Verb
 from firmware_protocol.device_settings import encode_value
 from tests.simulated_time import SimulatedPolicy

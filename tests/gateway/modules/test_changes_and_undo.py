@@ -13,7 +13,7 @@ from devices.commands.device_errors import (
     UnfinishedError,
     WritesLockedError,
 )
-from devices.emulators.power_cut import PowerCut
+from devices.emulators.device.emulated_flash import PowerCut
 from firmware_protocol.commands import Verb
 from gateway.modules.journal import JournalError
 from gateway.modules.operations import RequestError

@@ -15,17 +15,22 @@ from typing import Any
 import numpy as np
 
 from devices.emulators.bodies import FloatArray
-from devices.emulators.command_responder import CommandResponder
-from devices.emulators.emulated_card import EmulatedCard
-from devices.emulators.emulated_flash import EmulatedFlash, PowerLost
+from devices.emulators.device.command_responder import CommandResponder
+from devices.emulators.device.emulated_card import EmulatedCard
+from devices.emulators.device.emulated_flash import (
+    KEYS,
+    OFF_S,
+    EmulatedFlash,
+    Moment,
+    PowerCut,
+    PowerLost,
+    StoredSettings,
+)
+from devices.emulators.device.sampling import TRIGGERED, SampleSettings, Sampling, SamplingTimer, Trigger
+from devices.emulators.device.sender import Sender, Timed
+from devices.emulators.device.status_reports import StatusReports, device_info
 from devices.emulators.imperfections import ModuleClock
-from devices.emulators.power_cut import OFF_S, Moment, PowerCut
-from devices.emulators.sampling import TRIGGERED, SampleSettings, Sampling, Trigger
-from devices.emulators.sampling_timer import SamplingTimer
-from devices.emulators.sender import Sender, Timed
 from devices.emulators.sensing.disturbances import Disturbance
-from devices.emulators.status_reports import StatusReports, device_info
-from devices.emulators.stored_settings import KEYS, StoredSettings
 from firmware_protocol import (
     BROADCAST,
     Command,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from devices.emulators.sampling_timer import SamplingTimer, Schedule
-from devices.emulators.sender import Sender, Timed
+from devices.emulators.device.sampling import SamplingTimer, Schedule
+from devices.emulators.device.sender import Sender, Timed
 from devices.emulators.sensing.sample_encoding import SENSORS
 from firmware_protocol import DeviceInfo, Health
 

@@ -1,16 +1,55 @@
-"""Flash memory as chips have it, which may lose power at any moment. Sans-I/O, seeded.
+"""What a device keeps: flash, which may lose power at any moment, and the settings in it. Sans-I/O.
 
 Erasing a slot makes all of its bits 1; programming makes single bits 0 and never 1 again. What is under
 way when the power goes is done in part: a byte has any of its bits cleared that were to be cleared, an
-erased slot is any mixture of what it held and of 1s.
+erased slot is any mixture of what it held and of 1s. ``PowerCut`` is power lost at the worst moment: in the
+middle of obeying a command. All draws are seeded.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.flash_slots import SLOT_SIZE, SLOTS
+from firmware_protocol.device_settings import SETTINGS, factory_settings
+from firmware_protocol.flash_slots import SLOT_SIZE, SLOTS, Flash, FlashError, SlotStore
+
+OFF_S = 0.3
+"""How long a device is off when it loses power and has it back, s."""
+
+
+class Moment(Enum):
+    """When the power goes, seen from the command."""
+
+    BEFORE = "the command has come, nothing is done yet"
+    IN_FLASH = "the flash is at work"
+    AFTER = "all is done, the answer is not sent yet"
+
+
+@dataclass
+class PowerCut:
+    """Strikes once, at one command."""
+
+    verb: int
+    skips: int = 0
+    """Commands of that verb that are obeyed before."""
+    moment: Moment = Moment.AFTER
+    flash_step: int = 0
+    """For ``IN_FLASH``: the step of the flash (from 0, see ``EmulatedFlash``) that is not finished."""
+    off_s: float = OFF_S
+
+    def strikes(self, verb: int) -> bool:
+        """Return whether this command is the one; count it otherwise."""
+        if verb != self.verb:
+            return False
+        self.skips -= 1
+        return self.skips < 0
+
 
 ERASED = 0xFF
 
@@ -89,3 +128,66 @@ class EmulatedFlash:
     def _check(self, address: int, n: int) -> None:
         if not 0 <= address <= address + n <= len(self._cells):
             raise ValueError(f"{n} bytes at {address}: the flash has {len(self._cells)}")
+
+
+KEYS = {setting.name: key for key, setting in SETTINGS.items()}
+"""Of settings, by name."""
+
+
+class StoredSettings:
+    """Settings by name to act by, and by key for commands.
+
+    A new one of the same flash is what a device has after a loss of power: whatever was staged is gone.
+    """
+
+    def __init__(self, flash: Flash) -> None:
+        self._store = SlotStore(flash)
+        self._active = self._store.load()
+        self.staged: dict[int, Any] = {}
+        """Values written and not yet committed, by key."""
+
+    @property
+    def is_factory(self) -> bool:
+        """No settings were ever committed, or none of them can be read."""
+        return self._store.generation is None
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the value acted by. Raises ``KeyError`` for a name that is no setting's."""
+        return self._active[KEYS[name]]
+
+    def value(self, key: int) -> Any:
+        """Return what a host reads: the staged value if there is one, else the one acted by."""
+        return self.staged.get(key, self._active[key])
+
+    def stage(self, key: int, value: Any) -> None:
+        """Keep a value for the next commit."""
+        self.staged[key] = value
+
+    def discard(self) -> None:
+        """Forget what is staged."""
+        self.staged.clear()
+
+    def commit(self) -> int | None:
+        """Store what is staged and act by it; the new generation, or None when the flash failed.
+
+        Raises ``PowerLost`` when the flash says so.
+        """
+        return self._keep({**self._active, **self.staged})
+
+    def reset(self) -> int | None:
+        """Store the factory settings and act by them; otherwise as ``commit``."""
+        return self._keep(factory_settings())
+
+    def _keep(self, settings: dict[int, Any]) -> int | None:
+        try:
+            generation = self._store.commit(settings)
+        except FlashError:
+            return None
+        self._active = settings
+        self.staged.clear()
+        return generation
+
+
+def provision(flash: Flash, values: Mapping[str, Any]) -> None:
+    """Store settings by name, and the factory values of all others, as whoever delivers a suit does."""
+    SlotStore(flash).commit(factory_settings() | {KEYS[name]: value for name, value in values.items()})

@@ -6,9 +6,8 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from devices.emulators.emulated_card import EmulatedCard
-from devices.emulators.emulated_flash import EmulatedFlash
-from devices.emulators.stored_settings import StoredSettings
+from devices.emulators.device.emulated_card import EmulatedCard
+from devices.emulators.device.emulated_flash import EmulatedFlash, StoredSettings
 from firmware_protocol import Acknowledgement, Command, Event, Packet
 from firmware_protocol.commands import (
     ALL_FILES,

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.emulators.bodies import FloatArray
+from devices.emulators.device.emulated_flash import provision
 from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.sensing.ideal_sensors import GRAVITY, MAGNETIC_FIELD, sense
 from devices.emulators.sensing.sample_encoding import SENSORS
-from devices.emulators.stored_settings import provision
 from firmware_protocol import InertialSample
 from firmware_protocol.device_settings import SETTINGS
 from firmware_protocol.fields import layout_of
