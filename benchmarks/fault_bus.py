@@ -11,7 +11,7 @@ from typing import Any
 
 from benchmarks.emulated_bus import EmulatedBus
 from benchmarks.fault_bench import LINK_LIMIT_S, WHOLE_LIMIT_S, Bench, Broker, Outcome, Wiring
-from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faults.fault_plan import FaultPlan
 from devices.links.socketcan_link import BusError
 
 BEGIN_S = 4.0

@@ -277,7 +277,7 @@ MAKERS_SHARE = (
     *(
         "devices/emulators/vendor_emulator.py",
         "devices/emulators/vendor_emulators.py",
-        "devices/emulators/makers_campaign.py",
+        "devices/emulators/faults/makers_campaign.py",
     ),
 )
 """What all makers have in common."""
@@ -285,7 +285,7 @@ _ONE_FILE = "tests/system/test_another_makers_module.py"
 _LISTS = (
     "gateway/sources/registry.py",
     "devices/emulators/vendor_emulators.py",
-    "devices/emulators/makers_campaign.py",
+    "devices/emulators/faults/makers_campaign.py",
 )
 
 

@@ -92,7 +92,7 @@ OF_MAKERS = {SOURCES[word].settings.__module__.removeprefix("gateway.sources.") 
 LISTS = {
     "gateway/sources/registry.py",
     "devices/emulators/vendor_emulators.py",
-    "devices/emulators/makers_campaign.py",
+    "devices/emulators/faults/makers_campaign.py",
 }
 """Where they are entered: by the gateway, by ``emulate``, by what damages their messages."""
 

@@ -15,7 +15,7 @@ from devices.commands.card import convert_card_file
 from devices.commands.transactions import Transactions
 from devices.emulators.device.command_responder import CommandResponder, IdleDevice
 from devices.emulators.device.emulated_card import EmulatedCard
-from devices.emulators.makers_campaign import LANGUAGES
+from devices.emulators.faults.makers_campaign import LANGUAGES
 from devices.link import Chunk, Framing
 from devices.links.slcan import SlcanDecoder
 from devices.marker_messages import MarkerReceiver, encode_markers

@@ -26,8 +26,8 @@ from devices.emulators.bodies import FloatArray
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.device.sampling import FUSED, RAW, TRIGGERED
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
-from devices.emulators.fault_plan import FaultPlan
-from devices.emulators.faulty_suit import FaultySuit, pull_cable
+from devices.emulators.faults.fault_plan import FaultPlan
+from devices.emulators.faults.faulty_suit import FaultySuit, pull_cable
 from devices.emulators.gnss_receiver import FORMATS, GnssEmulation, gnss_traffic
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.motion.calibrating import strapped_on

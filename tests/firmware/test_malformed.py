@@ -20,7 +20,7 @@ import pytest
 
 from devices.emulators.device.emulated_flash import KEYS
 from devices.emulators.device.firmware_memory import FirmwareMemory
-from devices.emulators.wire_damage import BYTE_DAMAGES
+from devices.emulators.faults.wire_damage import BYTE_DAMAGES
 from firmware_protocol import (
     BROADCAST,
     PACKETS,

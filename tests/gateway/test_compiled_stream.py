@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.emulators.wire_damage import BYTE_DAMAGES, PIECE_DAMAGES, ByteStream, CanBus
-from devices.emulators.wire_traffic import Source
+from devices.emulators.faults.wire_damage import BYTE_DAMAGES, PIECE_DAMAGES, ByteStream, CanBus, Source
 from devices.link import Chunk, Framing, SentChunk
 from firmware_protocol import (
     BROADCAST,

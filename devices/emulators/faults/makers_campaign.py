@@ -3,7 +3,7 @@ how much that was damaged is taken for good.
 
 ::
 
-    python -m devices.emulators.makers_campaign --damaged 1000000 --seed 1 ximu3 mti
+    python -m devices.emulators.faults.makers_campaign --damaged 1000000 --seed 1 ximu3 mti
 
 These protocols check little or nothing: a sum of 8 bits lets one damaged message in 256 through, the x-IMU3
 has none. So a corrupt message that is accepted is no failure here, but a figure, for each way of damage.
@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Any, NamedTuple, Protocol
 
-from devices.emulators.wire_damage import BYTE_DAMAGES, PIECE_DAMAGES
+from devices.emulators.faults.wire_damage import BYTE_DAMAGES, PIECE_DAMAGES
 from devices.vendor_protocols import bno08x, mocopi, mti, mvn, slimevr, witmotion, ximu3
 from firmware_protocol import pack_can_records, unpack_can_records
 
@@ -297,7 +297,9 @@ def _fed(decoder: _Decoder, pieces: list[bytes], rng: Random | None, verdict: Ve
 
 def main() -> None:
     """Run a campaign from the command line."""
-    parser = argparse.ArgumentParser(prog="python -m devices.emulators.makers_campaign", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m devices.emulators.faults.makers_campaign", description=__doc__
+    )
     parser.add_argument("languages", nargs="*", default=[], help=", ".join(LANGUAGES))
     parser.add_argument("--damaged", type=int, default=1_000_000, help="messages, of twice as many")
     parser.add_argument("--seed", type=int, default=1)

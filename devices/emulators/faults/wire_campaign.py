@@ -3,7 +3,7 @@ what is intact must come through at once.
 
 ::
 
-    python -m devices.emulators.wire_campaign --frames 1000000 --seed 1
+    python -m devices.emulators.faults.wire_campaign --frames 1000000 --seed 1
 
 A wire frame that is accepted must be equal, byte for byte, to one that was sent. A damaged one passes the
 CRC-32 with a probability of 2^-32; if that happens it is reported as a failure, with its bytes, not
@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from random import Random
 
-from devices.emulators.wire_damage import BLOCK_SIZE, ByteStream, CanBus, Traffic
+from devices.emulators.faults.wire_damage import BLOCK_SIZE, ByteStream, CanBus, Traffic
 from firmware_protocol import (
     CanFrameDecoder,
     Defect,
@@ -150,7 +150,9 @@ def run(
 
 def main() -> None:
     """Run a campaign from the command line."""
-    parser = argparse.ArgumentParser(prog="python -m devices.emulators.wire_campaign", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m devices.emulators.faults.wire_campaign", description=__doc__
+    )
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
