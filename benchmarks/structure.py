@@ -275,8 +275,8 @@ MAKERS_SHARE = (
     *("devices/vendor_protocols/plausibility.py", "devices/vendor_protocols/rotations.py"),
     *("gateway/sources/makers.py", "gateway/modules/makers.py", "gateway/cli/emulate_makers.py"),
     *(
-        "devices/emulators/vendor_emulator.py",
-        "devices/emulators/vendor_emulators.py",
+        "devices/emulators/makers/vendor_emulator.py",
+        "devices/emulators/makers/registry.py",
         "devices/emulators/faults/makers_campaign.py",
     ),
 )
@@ -284,7 +284,7 @@ MAKERS_SHARE = (
 _ONE_FILE = "tests/system/test_another_makers_module.py"
 _LISTS = (
     "gateway/sources/registry.py",
-    "devices/emulators/vendor_emulators.py",
+    "devices/emulators/makers/registry.py",
     "devices/emulators/faults/makers_campaign.py",
 )
 
@@ -310,7 +310,7 @@ def _maker(name: str, words: Sequence[str]) -> Maker:
         ", ".join(words),
         _count(protocols.glob(f"{name}*.py")),
         _count(sources),
-        _count((REPOSITORY / "devices" / "emulators").glob(f"{name}_emulator.py")),
+        _count((REPOSITORY / "devices" / "emulators" / "makers").glob(f"{name}.py")),
         listed,
         _count(tests),
     )

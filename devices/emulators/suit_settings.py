@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.delivery import Encoding
+from devices.emulators.makers.vendor_emulator import VendorEmulator
 from devices.emulators.sensing.ideal_sensors import GRAVITY, MAGNETIC_FIELD
 from devices.emulators.sensing.light_sampler import Sunlight
 from devices.emulators.sensing.sample_encoding import SENSORS
-from devices.emulators.vendor_emulator import VendorEmulator
 from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S
 
 

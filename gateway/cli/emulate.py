@@ -30,6 +30,7 @@ from devices.emulators.faults.fault_plan import FaultPlan
 from devices.emulators.faults.faulty_suit import FaultySuit, pull_cable
 from devices.emulators.gnss_receiver import FORMATS, GnssEmulation, gnss_traffic
 from devices.emulators.imperfections import PRESETS
+from devices.emulators.makers.registry import VENDOR_EMULATORS, announce
 from devices.emulators.motion.calibrating import strapped_on
 from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.recording_formats import READERS
@@ -46,7 +47,6 @@ from devices.emulators.transports import (
     Transport,
     UdpTransport,
 )
-from devices.emulators.vendor_emulators import VENDOR_EMULATORS, announce
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit

@@ -30,16 +30,16 @@ from devices.emulators import (
     SuitTraffic,
     Transmission,
 )
-from devices.emulators.bno08x_emulator import Bno08xEmulator
 from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
-from devices.emulators.mocopi_emulator import mocopi_emulators
-from devices.emulators.mti_emulator import MtiCanEmulator, MtiEmulator
-from devices.emulators.mvn_emulator import mvn_emulators
+from devices.emulators.makers.bno08x import Bno08xEmulator
+from devices.emulators.makers.mocopi import mocopi_emulators
+from devices.emulators.makers.mti import MtiCanEmulator, MtiEmulator
+from devices.emulators.makers.mvn import mvn_emulators
+from devices.emulators.makers.slimevr import SlimevrEmulator
+from devices.emulators.makers.vendor_emulator import MixedSuit, VendorEmulator
+from devices.emulators.makers.witmotion import WitMotionCanEmulator, WitMotionEmulator
+from devices.emulators.makers.ximu3 import Ximu3Emulator
 from devices.emulators.sensing.light_sampler import Shade
-from devices.emulators.slimevr_emulator import SlimevrEmulator
-from devices.emulators.vendor_emulator import MixedSuit, VendorEmulator
-from devices.emulators.witmotion_emulator import WitMotionCanEmulator, WitMotionEmulator
-from devices.emulators.ximu3_emulator import Ximu3Emulator
 from devices.link import Chunk, Framing, InputEvent, SentChunk
 from devices.marker_messages import encode_markers
 from devices.recording_writer import DerivedRecordingWriter, session_record

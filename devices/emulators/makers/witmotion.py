@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from devices.emulators.device.emulated_device import EmulatedDevice
-from devices.emulators.vendor_emulator import GRAVITY, Sensed, VendorEmulator, degrees, shares
+from devices.emulators.makers.vendor_emulator import GRAVITY, Sensed, VendorEmulator, degrees, shares
 from devices.link import Framing
 from devices.vendor_protocols.witmotion import (
     ACCELERATION,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from devices.emulators.vendor_emulator import Fused, Sensed, Together, VendorEmulator, shares
+from devices.emulators.makers.vendor_emulator import Fused, Sensed, Together, VendorEmulator, shares
 from devices.vendor_protocols.mvn import QUATERNIONS, TRACKERS, Item, SegmentPose, Tracker, encode
 
 _NOWHERE = (0.0, 0.0, 0.0)

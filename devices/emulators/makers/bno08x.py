@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from devices.deferred import Rotation
-from devices.emulators.vendor_emulator import Fused, Sensed, VendorEmulator
+from devices.emulators.makers.vendor_emulator import Fused, Sensed, VendorEmulator
 from devices.vendor_protocols.bno08x import Report, encode
 
 

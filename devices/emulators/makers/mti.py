@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from devices.emulators.device.emulated_device import EmulatedDevice
-from devices.emulators.vendor_emulator import Sensed, VendorEmulator, shares
+from devices.emulators.makers.vendor_emulator import Sensed, VendorEmulator, shares
 from devices.link import Framing
 from devices.vendor_protocols.mti import (
     CLIPPED,

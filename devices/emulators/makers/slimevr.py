@@ -9,7 +9,7 @@ import numpy as np
 
 from devices.deferred import VQF
 from devices.emulators.device.emulated_device import EmulatedDevice
-from devices.emulators.vendor_emulator import GRAVITY, Sensed, VendorEmulator
+from devices.emulators.makers.vendor_emulator import GRAVITY, Sensed, VendorEmulator
 from devices.vendor_protocols import slimevr as wire
 from devices.vendor_protocols.slimevr import Battery, Handshake, Kind, SensorInfo, SettingDone, Temperature
 from devices.vendor_protocols.slimevr_tracker import Part, TrackerSession

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from devices.deferred import Rotation
-from devices.emulators.vendor_emulator import Fused, Sensed, Together, VendorEmulator
+from devices.emulators.makers.vendor_emulator import Fused, Sensed, Together, VendorEmulator
 from devices.vendor_protocols.mocopi import PARENTS, Frame, encode
 
 _Oriented = tuple[int, tuple[float, float, float, float]]

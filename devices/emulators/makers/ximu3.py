@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from devices.emulators.device.emulated_device import EmulatedDevice
-from devices.emulators.vendor_emulator import GRAVITY, Sensed, VendorEmulator, degrees, shares
+from devices.emulators.makers.vendor_emulator import GRAVITY, Sensed, VendorEmulator, degrees, shares
 from devices.vendor_protocols.ximu3 import (
     COMMAND_PORT,
     DISCOVERY_PORT,

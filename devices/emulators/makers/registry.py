@@ -10,7 +10,7 @@ import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from devices.deferred import Deferred
-from devices.emulators.vendor_emulator import VendorEmulator
+from devices.emulators.makers.vendor_emulator import VendorEmulator
 
 _ANNOUNCED_EVERY_S = 1.0
 
@@ -20,25 +20,25 @@ _Emulators = Mapping[int, VendorEmulator]
 
 def _each(module: str, emulator: str) -> Callable[[Sequence[int], float], _Emulators]:
     """Return what makes emulators of devices that know nothing of each other."""
-    make: Callable[[int, float], VendorEmulator] = Deferred(f"devices.emulators.{module}", emulator)
+    make: Callable[[int, float], VendorEmulator] = Deferred(f"{__package__}.{module}", emulator)
     return lambda modules, field_ut: {each: make(each, field_ut) for each in modules}
 
 
 def _together(module: str, emulators: str) -> Callable[[Sequence[int], float], _Emulators]:
     """Return what makes emulators of devices that share a link, an instant or numbers."""
-    return Deferred(f"devices.emulators.{module}", emulators)
+    return Deferred(f"{__package__}.{module}", emulators)
 
 
 VENDOR_EMULATORS: Mapping[str, Callable[[Sequence[int], float], Mapping[int, VendorEmulator]]] = {
-    "ximu3": _together("ximu3_emulator", "ximu3_emulators"),
-    "mti": _each("mti_emulator", "MtiEmulator"),
-    "mti_can": _each("mti_emulator", "MtiCanEmulator"),
-    "witmotion": _each("witmotion_emulator", "WitMotionEmulator"),
-    "witmotion_can": _together("witmotion_emulator", "witmotion_can_emulators"),
-    "slimevr": _each("slimevr_emulator", "SlimevrEmulator"),
-    "mvn": _together("mvn_emulator", "mvn_emulators"),
-    "bno08x_rvc": _each("bno08x_emulator", "Bno08xEmulator"),
-    "mocopi": _together("mocopi_emulator", "mocopi_emulators"),
+    "ximu3": _together("ximu3", "ximu3_emulators"),
+    "mti": _each("mti", "MtiEmulator"),
+    "mti_can": _each("mti", "MtiCanEmulator"),
+    "witmotion": _each("witmotion", "WitMotionEmulator"),
+    "witmotion_can": _together("witmotion", "witmotion_can_emulators"),
+    "slimevr": _each("slimevr", "SlimevrEmulator"),
+    "mvn": _together("mvn", "mvn_emulators"),
+    "bno08x_rvc": _each("bno08x", "Bno08xEmulator"),
+    "mocopi": _together("mocopi", "mocopi_emulators"),
 }
 """By what a link carries: makes emulators from the numbers of devices and the strength of the field, µT."""
 
