@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from devices.back_off import BackOff
-from devices.emulators.loopback_link import loopback_pair
+from devices.emulators.transports.memory import loopback_pair
 from devices.endpoints import link_from_url
 from devices.link import Chunk, Framing, Link, LinkBusyError, LinkError
 from devices.links.reconnect import LinkState, LinkStatus, ReconnectingLink, kept_open

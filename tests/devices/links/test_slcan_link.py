@@ -8,7 +8,7 @@ import contextlib
 import can
 import pytest
 
-from devices.emulators.loopback_link import loopback_pair
+from devices.emulators.transports.memory import loopback_pair
 from devices.link import Framing, LinkError
 from devices.links.serial_link import SerialLink
 from devices.links.slcan_link import SlcanLink
