@@ -9,7 +9,7 @@ from devices.calibration import SensorCalibration
 from devices.emulators.imperfections import UNCALIBRATED, draw_errors, module_random
 from devices.emulators.motion.kinematics_truth import MotionState
 from devices.emulators.motion.tumbling import TumblingMotion
-from devices.emulators.suit_devices import ERRORS
+from devices.emulators.suit_settings import ERRORS
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
 from firmware_protocol.device_settings import factory_settings
