@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from firmware_protocol.samples import STANDARD_GRAVITY
 from gateway.body.joints import WORLD, Angle, Decomposition, Joint
 from gateway.body.sensor_entries import Finite
 from gateway.body.skeleton import BodyMarkers, Interpolation, Skeleton, WornSuit, field_vector
@@ -241,7 +242,7 @@ class Place(Strict):
 class WorldSettings(Strict):
     """What the sensors stand in."""
 
-    gravity: float = Field(default=9.80665, gt=9, lt=10, description="m/s²")
+    gravity: float = Field(default=STANDARD_GRAVITY, gt=9, lt=10, description="m/s²")
     magnetic_field: MagneticField = MagneticField()
     second_field: Literal["magnetometer", "sun", "both"] = Field(
         default="magnetometer",

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 ANOTHER_SENDER = "another_sender"
 """Reason for which datagrams of a second device on a link are dropped."""
-GRAVITY = 9.80665
-"""m/s² in the g of data sheets."""
 MAGNETIC = 1 << 9
 """Added to the kind of inertial samples: what comes of a magnetometer by itself is counted by itself."""
 TALK_S = 0.05

@@ -9,9 +9,10 @@ from devices.emulators.device.sampling import SamplingTimer, Schedule
 from devices.emulators.device.sender import Sender, Timed
 from devices.emulators.sensing.sample_encoding import SENSORS
 from firmware_protocol import DeviceInfo, Health
+from firmware_protocol.samples import STANDARD_GRAVITY
 
 DEFAULT_RANGES: Mapping[str, float] = {
-    "specific_force": 16 * 9.80665,
+    "specific_force": 16 * STANDARD_GRAVITY,
     "magnetic_field": 1600.0,
     "angular_rate": math.radians(2000),
 }

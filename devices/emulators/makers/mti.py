@@ -21,12 +21,13 @@ from devices.vendor_protocols.mti import (
     encode_output_configuration,
     read_output_configuration,
 )
+from firmware_protocol.samples import STANDARD_GRAVITY
 
 _FIRMWARE = bytes((1, 8, 2))
 _FILTER_RUNS = 0b11
 _NUMBER = 0
 """Place of the format of its numbers in ``NUMBERS``."""
-_MOST_FORCE, _MOST_RATE = 10 * 9.80665, 34.9
+_MOST_FORCE, _MOST_RATE = 10 * STANDARD_GRAVITY, 34.9
 """m/s² and rad/s: ends of its ranges."""
 
 

@@ -9,11 +9,12 @@ import numpy as np
 
 from devices.deferred import VQF
 from devices.emulators.device.emulated_device import EmulatedDevice
-from devices.emulators.makers.vendor_emulator import GRAVITY, Sensed, VendorEmulator
+from devices.emulators.makers.vendor_emulator import Sensed, VendorEmulator
 from devices.vendor_protocols import slimevr as wire
 from devices.vendor_protocols.slimevr import Battery, Handshake, Kind, SensorInfo, SettingDone, Temperature
 from devices.vendor_protocols.slimevr_tracker import Part, TrackerSession
 from firmware_protocol import Health
+from firmware_protocol.samples import STANDARD_GRAVITY
 
 _MAC = "a4e57c0000{:02x}"
 _IMU_LSM6DSV, _BOARD, _MCU = 13, 4, 2
@@ -103,7 +104,7 @@ class SlimevrEmulator(VendorEmulator):
         # The last row of the rotation: the world's vertical in sensor axes.
         up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z])
         # Trackers send acceleration without gravity.
-        a, b, c = (force - GRAVITY * up).tolist()
+        a, b, c = (force - STANDARD_GRAVITY * up).tolist()
         orientation = float(w), float(x), float(y), float(z)
         if not self.session.takes_bundles:
             both = wire.rotation_and_acceleration(0, orientation, (a, b, c))

@@ -26,7 +26,6 @@ from firmware_protocol import (
 )
 from firmware_protocol.packets import decode_body
 
-GRAVITY = 9.80665
 STAMP_BITS = 32
 Vector = tuple[float, float, float]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from devices.emulators.device.emulated_device import EmulatedDevice
-from devices.emulators.makers.vendor_emulator import GRAVITY, Sensed, VendorEmulator, degrees, shares
+from devices.emulators.makers.vendor_emulator import Sensed, VendorEmulator, degrees, shares
 from devices.link import Framing
 from devices.vendor_protocols.witmotion import (
     ACCELERATION,
@@ -29,6 +29,7 @@ from devices.vendor_protocols.witmotion import (
     read_writes,
 )
 from firmware_protocol import unpack_can_records
+from firmware_protocol.samples import STANDARD_GRAVITY
 
 _ADDRESS = REGISTERS_BY_NAME["address"].address
 _CELSIUS = 3125
@@ -65,7 +66,7 @@ class WitMotionEmulator(VendorEmulator):
     def _measured(self, sensed: Sensed) -> Iterator[tuple[int, list[int]]]:
         field = [0.0] * 3 if sensed.field is None else sensed.field
         values = {
-            ACCELERATION: [*counts(shares(sensed.force, GRAVITY), RANGE_G), _CELSIUS],
+            ACCELERATION: [*counts(shares(sensed.force, STANDARD_GRAVITY), RANGE_G), _CELSIUS],
             ANGULAR_RATE: [*counts(degrees(sensed.rate), RANGE_DEG_S), 0],
             ANGLE: [0, 0, 0, self.registers[0x2E]],
             FIELD: [*(round(each * _FIELD_COUNTS_UT) for each in field), _CELSIUS],

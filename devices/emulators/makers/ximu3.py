@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from devices.emulators.device.emulated_device import EmulatedDevice
-from devices.emulators.makers.vendor_emulator import GRAVITY, Sensed, VendorEmulator, degrees, shares
+from devices.emulators.makers.vendor_emulator import Sensed, VendorEmulator, degrees, shares
 from devices.vendor_protocols.ximu3 import (
     COMMAND_PORT,
     DISCOVERY_PORT,
@@ -20,6 +20,7 @@ from devices.vendor_protocols.ximu3 import (
     encode_text,
 )
 from firmware_protocol import Health
+from firmware_protocol.samples import STANDARD_GRAVITY
 
 _FIELD_LATER_US = 800
 _FLASHES_S = 5
@@ -60,7 +61,7 @@ class Ximu3Emulator(VendorEmulator):
 
     def encode_sample(self, sensed: Sensed) -> bytes:
         """Return the messages of one sample."""
-        force, rate = shares(sensed.force, GRAVITY), degrees(sensed.rate)
+        force, rate = shares(sensed.force, STANDARD_GRAVITY), degrees(sensed.rate)
         messages = self._encoded(b"I", sensed.time_us, (*rate, *force))
         interval_us = self.settings[_MAGNETIC] * 1_000_000 // MAGNETIC_HZ
         if sensed.field is None or not interval_us or sensed.time_us < self._field_due_us:

@@ -13,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from devices.emulators.bodies import STANDARD_GRAVITY, FloatArray, IntArray
+from devices.emulators.bodies import FloatArray, IntArray
 from devices.emulators.motion.kinematics_truth import MotionState
 from devices.emulators.motion.motions import BodyMotion
+from firmware_protocol.samples import STANDARD_GRAVITY
 
 GRAVITY: FloatArray = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 """(3,) world ENU, m/s²."""
