@@ -473,11 +473,9 @@ async def _serve(
     from devices.emulators.qtm_stand_in import QtmStandIn
 
     ended = asyncio.Event()
-    stand_in = QtmStandIn(
-        trial, host=host, port=port, up=f"+{up.upper()}", speed=speed, repeats=not once, on_end=ended.set
-    )
+    stand_in = QtmStandIn(trial, up=f"+{up.upper()}", speed=speed, repeats=not once, on_end=ended.set)
     try:
-        await stand_in.start()
+        await stand_in.start(host, port)
     except OSError as error:
         raise GatewayError(f"{host}:{port} cannot be served: {error.strerror or error}") from error
     typer.echo(
