@@ -57,7 +57,7 @@ _MANY = 5000
 _SETTINGS = ("gateway.settings", "gateway.support.settings_files")
 _SHEETS = (
     "devices.vendor_formats.gaps",
-    "devices.vendor_formats.labels",
+    "devices.vendor_formats.tracks",
     "devices.vendor_formats.sheets",
 )
 

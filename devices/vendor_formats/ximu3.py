@@ -17,10 +17,8 @@ import numpy as np
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import RecordedTracks
 from devices.vendor_formats.gaps import in_order, index_of_times, rate_of, spread, usual_interval
-from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, open_sheet
-from devices.vendor_formats.stamped import stamped_tracks
-from devices.vendor_formats.xsens_text import turned
+from devices.vendor_formats.tracks import refuse_repeats, stamped_tracks, turned
 from firmware_protocol.samples import STANDARD_GRAVITY
 
 INERTIAL = "Inertial.csv"
