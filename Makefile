@@ -187,8 +187,8 @@ bench: install-dev system-tools
 
 soak soak-faults: MINUTES ?= 20
 soak: install-dev system-tools
-	$(BIN)/python -m devices.emulators.wire_campaign --frames 10000000
-	$(BIN)/python -m devices.emulators.makers_campaign --damaged 1000000
+	$(BIN)/python -m devices.emulators.faults.wire_campaign --frames 10000000
+	$(BIN)/python -m devices.emulators.faults.makers_campaign --damaged 1000000
 	$(BIN)/python -m benchmarks.wire_both_ways --frames 10000000
 	$(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.figures import Figure, Report, table
 from benchmarks.peers import NO_FIELD, solved
-from devices.emulators.motions import BodyMotion, robot_arm_motion
+from devices.emulators.motion.motions import BodyMotion, robot_arm_motion
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.fast_arm import (
     ALL_ON,

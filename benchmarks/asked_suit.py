@@ -6,7 +6,7 @@ import random
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
-from devices.command_client import host_bytes
+from devices.commands.command_client import host_bytes
 from devices.emulators.delivery import Transmission
 from devices.link import Chunk, Framing, SentChunk
 from gateway.service.synchronisation import UNEVENNESS, question

@@ -15,8 +15,8 @@ import matplotlib as mpl
 import numpy as np
 
 from devices.calibration_script import timetable
-from devices.emulators.calibrating import WearerFaults, calibration_motion
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.calibrating import WearerFaults, calibration_motion
+from devices.emulators.motion.motions import BodyMotion
 from gateway.body.kinematics import joint_positions
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from devices.calibration_script import PERIOD_S, timetable
 from devices.emulators.bodies import EmulatedBody
-from devices.emulators.calibrating import calibration_motion, strapped_on
 from devices.emulators.imperfections import TYPICAL
+from devices.emulators.motion.calibrating import calibration_motion, strapped_on
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
 from gateway.body.skeleton import WornSuit

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from benchmarks.figures import Figure, table
 from devices.emulators import Imperfections, SuitSettings, SuitTraffic, generic_motion
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.motions import BodyMotion
 from devices.link import Chunk, Framing
 from firmware_protocol import FrameDecoder, PacketDecoder
 from gateway.body.rig import load_rig

@@ -1,8 +1,8 @@
 """Suite ``damage``: what other makers' protocols let through of messages that were damaged on the way.
 
-``python -m devices.emulators.makers_campaign`` runs a protocol alone and says more of it. Every message has
-values of its own, half of them are damaged, and a message counts as read wrongly where its values were
-never sent.
+``python -m devices.emulators.faults.makers_campaign`` runs a protocol alone and says more of it. Every
+message has values of its own, half of them are damaged, and a message counts as read wrongly where its values
+were never sent.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import os
 from concurrent.futures import ProcessPoolExecutor
 
 from benchmarks.figures import Figure, Report, table
-from devices.emulators.makers_campaign import LANGUAGES, Verdict
-from devices.emulators.makers_campaign import run as run_campaign
+from devices.emulators.faults.makers_campaign import LANGUAGES, Verdict
+from devices.emulators.faults.makers_campaign import run as run_campaign
 
 DAMAGED = 1_000_000
 SEED = 1

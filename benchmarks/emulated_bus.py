@@ -12,10 +12,10 @@ import socket
 from collections.abc import Iterator
 from unittest import mock
 
-from devices import socketcan_link
 from devices.emulators.transports.transport import OnReceive
 from devices.link import Framing
-from devices.socketcan_link import BusError
+from devices.links import socketcan_link
+from devices.links.socketcan_link import BusError
 from firmware_protocol import CanFrame, unpack_can_records
 
 CHANNEL = "can0"

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from devices import recording_format as fmt
 from devices.emulators.bodies import EmulatedBody
-from devices.emulators.fault_plan import FaultPlan
-from devices.emulators.faulty_suit import FaultySuit
+from devices.emulators.faults.fault_plan import FaultPlan
+from devices.emulators.faults.faulty_suit import FaultySuit
 from devices.emulators.imperfections import TYPICAL
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing, gateway_time_ns
 from gateway.body.rig import load_rig

@@ -20,10 +20,10 @@ import psutil
 
 from benchmarks.emulated_bus import EmulatedBus
 from devices.emulators import IDEAL, EmulatedSuit, Encoding, SuitSettings, SuitTraffic
-from devices.emulators.fault_plan import FaultPlan
-from devices.emulators.faulty_suit import FaultySuit, pull_cable
+from devices.emulators.faults.fault_plan import FaultPlan
+from devices.emulators.faults.faulty_suit import FaultySuit, pull_cable
 from devices.emulators.local_broker import free_port, mosquitto_program
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.transports import PtyTransport
 from devices.emulators.transports.transport import Transport
 from devices.link import Framing, gateway_time_ns

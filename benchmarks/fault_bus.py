@@ -11,8 +11,8 @@ from typing import Any
 
 from benchmarks.emulated_bus import EmulatedBus
 from benchmarks.fault_bench import LINK_LIMIT_S, WHOLE_LIMIT_S, Bench, Broker, Outcome, Wiring
-from devices.emulators.fault_plan import FaultPlan
-from devices.socketcan_link import BusError
+from devices.emulators.faults.fault_plan import FaultPlan
+from devices.links.socketcan_link import BusError
 
 BEGIN_S = 4.0
 LASTS_S = 1.0

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from benchmarks.broker_proxy import BrokerProxy
 from benchmarks.fault_bench import BROKER_LIMIT_S, WHOLE_LIMIT_S, Bench, Broker, Outcome
-from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faults.fault_plan import FaultPlan
 from gateway.outputs.mqtt import MqttOutput
 
 BEGIN_S = 4.0

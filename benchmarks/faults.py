@@ -33,7 +33,7 @@ from benchmarks.fault_bus import BUS_FAULTS
 from benchmarks.fault_process import PROCESS_FAULTS
 from benchmarks.fault_surroundings import SURROUNDINGS
 from benchmarks.figures import Figure, Report, table
-from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faults.fault_plan import FaultPlan
 from devices.link import gateway_time_ns
 from gateway.body.skeleton import LocalDevice
 from gateway.frames import Quantity

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from benchmarks.figures import replace_section
 from devices.conformance.bench import Bench
-from devices.emulators.firmware_memory import FirmwareMemory
+from devices.emulators.device.firmware_memory import FirmwareMemory
 from devices.emulators.local_broker import free_port
 from devices.endpoints import link_from_url
 from firmware_protocol.commands import Verb

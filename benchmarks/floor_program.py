@@ -15,7 +15,7 @@ from pathlib import Path
 
 import aiomqtt
 
-from devices.raw_tty import open_raw_tty
+from devices.links.serial_link import open_raw_tty
 
 ROOT = "mocap/bench"
 OPTIONS = [(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)]

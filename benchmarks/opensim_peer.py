@@ -19,8 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import FloatArray
 from gateway.reconstruction.optical.pose_solver import FREE_SIGMA, body_model
 

@@ -16,8 +16,7 @@ from benchmarks.optical_gaps import HEADS, long_gaps, real_row
 from benchmarks.optical_opensim import OpenSimBeside
 from benchmarks.optical_simulation import simulated_rows
 from devices.marker_files import MarkerTrial, read_markers
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.emulation.optical_truth import TRIALS, UNTOLD
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion

@@ -7,8 +7,7 @@ import numpy as np
 from benchmarks.figures import Figure
 from devices.deferred import Rotation
 from devices.marker_files import MarkerTrial
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.emulation.optical_truth import cut_gaps, foreseen, rms_of, solved_simulation
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.reconstruction.optical.both_ways import solve_both_ways

@@ -9,8 +9,7 @@ import numpy as np
 from benchmarks import opensim_peer
 from benchmarks.figures import table
 from devices.marker_files import MarkerTrial
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.landmarks import to_world

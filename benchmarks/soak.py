@@ -32,7 +32,7 @@ from benchmarks.faults import FAULTS
 from benchmarks.figures import Figure, Report, table
 from benchmarks.soak_simulated import simulated
 from benchmarks.soak_watch import SoakWatch
-from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faults.fault_plan import FaultPlan
 
 LARGEST_GROWTH_MB = 5.0
 LARGEST_ANGLE_DEG = 5.0

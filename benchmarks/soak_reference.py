@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 from benchmarks.asked_suit import asked
 from benchmarks.fault_bench import METHOD
 from devices.emulators import IDEAL, SuitSettings, SuitTraffic
-from devices.emulators.fault_plan import Fault, FaultPlan
-from devices.emulators.fault_windows import FaultWindows
+from devices.emulators.faults.fault_plan import Fault, FaultPlan, FaultWindows
 from devices.link import Framing
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.simulation import suit_17

@@ -12,9 +12,8 @@ from benchmarks.asked_suit import asked
 from benchmarks.fault_bench import METHOD
 from benchmarks.soak_reference import Comparison, FaultFree, Orientations
 from devices.emulators import IDEAL, SuitSettings, SuitTraffic
-from devices.emulators.fault_plan import FaultPlan, Unplug
-from devices.emulators.fault_windows import FaultWindows
-from devices.emulators.faulty_suit import FaultySuit
+from devices.emulators.faults.fault_plan import FaultPlan, FaultWindows, Unplug
+from devices.emulators.faults.faulty_suit import FaultySuit
 from devices.link import Chunk, Framing, SentChunk
 from gateway.emulation.simulation import LINK, suit_17
 from gateway.pipeline import Pipeline

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.fault_bench import Bench
 from benchmarks.soak_reference import LATEST_S, record_type
-from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faults.fault_plan import FaultPlan
 from devices.link import gateway_time_ns
 from gateway.frames import SkeletonFrame
 

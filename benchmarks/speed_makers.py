@@ -6,10 +6,10 @@ import time
 
 from benchmarks.figures import Figure
 from devices.emulators.delivery import Encoding
-from devices.emulators.motions import generic_motion
-from devices.emulators.sampling import FUSED, RAW
+from devices.emulators.device.sampling import FUSED, RAW
+from devices.emulators.makers.registry import VENDOR_EMULATORS
+from devices.emulators.motion.motions import generic_motion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
-from devices.emulators.vendor_emulators import VENDOR_EMULATORS
 from devices.link import Chunk, SentChunk
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit

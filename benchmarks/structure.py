@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 from benchmarks.figures import replace_section, table
 from devices.emulators import Imperfections, SuitSettings, SuitTraffic
-from devices.emulators.motions import generic_motion
+from devices.emulators.motion.motions import generic_motion
 from devices.link import Chunk, Framing
 from gateway.body.rig import load_rig
 from gateway.contract.topics import Topics
@@ -275,17 +275,17 @@ MAKERS_SHARE = (
     *("devices/vendor_protocols/plausibility.py", "devices/vendor_protocols/rotations.py"),
     *("gateway/sources/makers.py", "gateway/modules/makers.py", "gateway/cli/emulate_makers.py"),
     *(
-        "devices/emulators/vendor_emulator.py",
-        "devices/emulators/vendor_emulators.py",
-        "devices/emulators/makers_campaign.py",
+        "devices/emulators/makers/vendor_emulator.py",
+        "devices/emulators/makers/registry.py",
+        "devices/emulators/faults/makers_campaign.py",
     ),
 )
 """What all makers have in common."""
 _ONE_FILE = "tests/system/test_another_makers_module.py"
 _LISTS = (
     "gateway/sources/registry.py",
-    "devices/emulators/vendor_emulators.py",
-    "devices/emulators/makers_campaign.py",
+    "devices/emulators/makers/registry.py",
+    "devices/emulators/faults/makers_campaign.py",
 )
 
 
@@ -310,7 +310,7 @@ def _maker(name: str, words: Sequence[str]) -> Maker:
         ", ".join(words),
         _count(protocols.glob(f"{name}*.py")),
         _count(sources),
-        _count((REPOSITORY / "devices" / "emulators").glob(f"{name}_emulator.py")),
+        _count((REPOSITORY / "devices" / "emulators" / "makers").glob(f"{name}.py")),
         listed,
         _count(tests),
     )

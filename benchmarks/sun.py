@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.figures import Figure, Report, table
-from devices.emulators.fault_plan import FaultPlan
-from devices.emulators.faulty_suit import FaultySuit
+from devices.emulators.faults.fault_plan import FaultPlan
+from devices.emulators.faults.faulty_suit import FaultySuit
 from devices.emulators.imperfections import TYPICAL
-from devices.emulators.light_sampler import Shade
+from devices.emulators.sensing.light_sampler import Shade
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
 from gateway.body.rig import load_rig

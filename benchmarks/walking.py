@@ -9,8 +9,8 @@ import numpy as np
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
 from benchmarks.foot_recording import FootResult, measure_foot, read_foot
-from devices.emulators.gait import RUN, WALK
-from devices.emulators.motions import gait_motion
+from devices.emulators.motion.gait import RUN, WALK
+from devices.emulators.motion.motions import gait_motion
 from gateway.body.rig import load_rig
 from gateway.emulation.recordings import SMOOTHED, solved
 from gateway.emulation.rig import dress

@@ -5,8 +5,8 @@
     python -m benchmarks.wire_both_ways --frames 10000000 --seed 1
 
 Half of the wire frames go over a byte stream, half over a CAN bus, damaged as in
-``devices.emulators.wire_campaign``, which judges the readable decoders by what was sent. The exit code is 1
-when anything differs.
+``devices.emulators.faults.wire_campaign``, which judges the readable decoders by what was sent. The exit code
+is 1 when anything differs.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from random import Random
 
-from devices.emulators.wire_damage import BLOCK_SIZE, ByteStream, CanBus
+from devices.emulators.faults.wire_damage import BLOCK_SIZE, ByteStream, CanBus
 from devices.link import Chunk, Framing
 from gateway.emulation.both_ways import BothWays, Difference
 from gateway.sources.clock_mode import ClockMode

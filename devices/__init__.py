@@ -3,17 +3,15 @@
 Reading order
 
 - ``link``: what a link is (``Chunk``, ``Link``, ``LinkError``) and the gateway's clock.
-- ``endpoints``: ``link_from_url`` makes any of the links below from one string.
-- ``serial_link`` (with ``raw_tty``, ``serial_ports``), ``rfc2217_link``, ``tcp_link``, ``udp_link``:
-  byte streams.
-- ``socketcan_link``, ``can_link``, ``slcan_link`` (with the text codec ``slcan``): CAN frame records.
-- ``marker_file_link`` over ``marker_files``, ``qtm_link`` (with ``qtm_packets``): markers of an optical
-  system, as ``marker_messages``.
-- ``replay_link`` over a ``recording_file``: a recording is a link like any other.
-- ``reconnect``: keeps any live link open for ever.
-- ``arrivals``: the one queue between a receive callback and the reader of a link; ``reader_thread``:
-  what fills it where a library can only block.
+- ``endpoints``: ``link_from_url`` makes any of the ``links`` from one string.
+- ``link_decoder``: chunks of a link to packets of our modules (``firmware_protocol``).
+- ``commands``: what is asked of modules: settings, ids, files of the relay's memory card.
+- ``recording_format``, ``recording_writer``, ``recording_file``, ``replay_link``: recordings; one is a
+  link like any other.
+- ``marker_messages``, ``marker_files``, ``cameras``: what optical systems and cameras send.
+- ``vendor_protocols``, ``vendor_formats``: other makers' modules, live and recorded.
+- ``conformance``: does a module keep the rules of our protocol? ``emulators``: suits without hardware.
 
-Nothing here interprets what modules say (that is ``firmware_protocol``), and nothing here imports
-``gateway``.
+``calibration``, ``calibration_script`` and ``normal_gait`` are what gateway and emulators must agree on,
+since neither imports the other. Nothing here imports ``gateway``.
 """

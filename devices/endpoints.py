@@ -15,6 +15,8 @@
 ``markers:///path/walk.c3d?speed=max``                    C3D or TRC file of marker trajectories
 ``recording:///path.mcap?speed=max&link=suit``             recording; or its path, if it ends in .mcap
 ========================================================  ============================================
+
+``line_rate`` says how fast the line behind one is, as far as its name says.
 """
 
 from __future__ import annotations
@@ -28,20 +30,25 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
-from devices.can_link import CanLink
 from devices.known_names import nearest
 from devices.link import Link, LinkError, LiveLink
-from devices.listening import Network
+from devices.links.can_link import CanLink
+from devices.links.listening import Network
+from devices.links.marker_file_link import MarkerFileLink
+from devices.links.qtm_link import QtmLink
+from devices.links.rfc2217_link import Rfc2217Link
+from devices.links.serial_link import DEFAULT_BAUD, SerialLink
+from devices.links.signed_link import SignedLink, read_key
+from devices.links.slcan_link import DEFAULT_DATA_BITRATE, SlcanLink
+from devices.links.socketcan_link import SocketCanLink
+from devices.links.tcp_link import TcpLink, TcpListenLink
+from devices.links.udp_link import LOOPBACK, UdpLink
 from devices.recording_format import SUFFIX
 from devices.replay_link import ReplayLink, speed_from
-from devices.rfc2217_link import Rfc2217Link
-from devices.serial_link import DEFAULT_BAUD, SerialLink
-from devices.signed_link import SignedLink, read_key
-from devices.slcan_link import SlcanLink
-from devices.socketcan_link import SocketCanLink
-from devices.tcp_link import TcpLink
-from devices.tcp_listen_link import TcpListenLink
-from devices.udp_link import LOOPBACK, UdpLink
+
+DEFAULT_BITRATE = 1_000_000
+_SERIAL = frozenset({"", "serial", "rfc2217"})
+_CAN = frozenset({"can", "slcan"})
 
 
 class EndpointError(LinkError, ValueError):
@@ -156,14 +163,10 @@ def _can(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Li
 
 
 def _marker_file(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
-    from devices.marker_file_link import MarkerFileLink  # noqa: PLC0415 - reading files takes scipy: a second
-
     return MarkerFileLink(_path(parts), name=name, **parameters)
 
 
 def _qtm(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
-    from devices.qtm_link import QtmLink  # noqa: PLC0415 - as above
-
     if parts.port is None:
         return QtmLink(_host(parts), name=name, **parameters)
     return QtmLink(_host(parts), _port(parts), name=name, **parameters)
@@ -237,3 +240,37 @@ def _unknown_scheme(url: str, scheme: str) -> str:
         examples = ", ".join(known.example for known in _SCHEMES.values())
         return f"'{url[:_SHOWN]}' is neither a path (/dev/ttyUSB0) nor a URL; write one like: {examples}"
     return f"{url[:_SHOWN]}: unknown scheme '{scheme[:_SHOWN]}'{nearest(scheme, _SCHEMES)}"
+
+
+@dataclass(frozen=True, slots=True)
+class UartRate:
+    """A serial port, 8N1."""
+
+    baud: int
+
+
+@dataclass(frozen=True, slots=True)
+class CanRate:
+    """A CAN bus; ``data_bitrate`` None: classic CAN."""
+
+    bitrate: int
+    data_bitrate: int | None
+
+
+def line_rate(url: str) -> UartRate | CanRate | None:
+    """Return the rate of a valid endpoint's line; None where there is none (network, pty, recording).
+
+    What the endpoint leaves open is taken as 1 Mbaud, 1 Mbit/s and 2 Mbit/s in the data phase of CAN FD.
+    """
+    parts = urlsplit(url)
+    parameters = dict(parse_qsl(parts.query))
+    if parts.scheme in _SERIAL:
+        # A pseudo-terminal has no line whose rate would matter.
+        if parts.scheme != "rfc2217" and os.path.realpath(parts.path).startswith("/dev/pts/"):
+            return None
+        return UartRate(int(parameters.get("baud", DEFAULT_BAUD)))
+    if parts.scheme in _CAN:
+        has_fd = parameters.get("fd", "0") not in {"0", "false", "no"}
+        data = int(parameters.get("data_bitrate", DEFAULT_DATA_BITRATE)) if has_fd else None
+        return CanRate(int(parameters.get("bitrate", DEFAULT_BITRATE)), data)
+    return None

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from firmware_protocol.elements import FieldsCodec
+from firmware_protocol.codec import FieldsCodec
 from firmware_protocol.fields import WireField
 from firmware_protocol.messages import MAX_PAYLOAD_SIZE
 

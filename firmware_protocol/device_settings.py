@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import radians
 from typing import Any
 
-from firmware_protocol.elements import FieldsCodec
+from firmware_protocol.codec import FieldsCodec
 from firmware_protocol.fields import WireField
 from firmware_protocol.framing import MAX_MODULE
 

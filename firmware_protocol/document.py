@@ -3,49 +3,248 @@
 ::
 
     python -m firmware_protocol.document > firmware_protocol/README.md
+
+In this order: declarations as tables of Markdown, the sections on commands, settings, flash, long wire
+frames on CAN and versions, then packets, signing, CAN and the page of it all. What no declaration
+holds is in ``prose``.
 """
 
 from __future__ import annotations
 
 import inspect
 import sys
+from collections.abc import Iterable, Sequence
 from zlib import crc32
 
-from firmware_protocol import can_framing, signing
-from firmware_protocol.document_commands import (
-    command_section,
-    flash_section,
-    setting_section,
-    transfer_section,
-    version_section,
+from firmware_protocol import can_framing, relay, signing
+from firmware_protocol.can_transfer import FLOW_CONTROL_FIELDS, TransferParams
+from firmware_protocol.commands import (
+    ANSWER_MEMORY,
+    BROADCAST_ANSWER_DELAY_US,
+    VERBS,
+    VerbDeclaration,
 )
-from firmware_protocol.document_tables import body_field, fixed_table, flag_table, masked_table, table
-from firmware_protocol.fields import layout_of
+from firmware_protocol.device_settings import SETTINGS, Setting
+from firmware_protocol.fields import INTEGER_RANGE, Layout, MaskFlag, WireField, layout_of
+from firmware_protocol.flash_slots import ENTRY_FIELDS, MAX_IMAGE_SIZE, SLOT_FIELDS, SLOT_SIZE
 from firmware_protocol.framing import (
     CHECKSUM_FIELD,
     HEADER_FIELDS,
     MAX_FRAME_SIZE,
+    SUPPORTED,
     Defect,
     encode_frame,
     serialize,
 )
-from firmware_protocol.golden_defects import GOOD
-from firmware_protocol.golden_signing import KEY
+from firmware_protocol.golden import GOOD, KEY
 from firmware_protocol.kinds import CAN_PRIORITY, FROM_HOST, LOWEST_CAN_PRIORITY, Kind
+from firmware_protocol.messages import MAX_PIECE_DATA_SIZE, RESULTS
 from firmware_protocol.packets import PACKETS, Packet
 from firmware_protocol.prose import (
     BYTE_STREAM,
     CAN,
+    COMMANDS,
     DBC,
+    FLASH,
     HISTORY,
     INTRODUCTION,
     RELAY,
     RULES,
+    SETTINGS_RULES,
     SIGNING,
+    TRANSFER,
     VECTORS,
+    VERSIONS,
     WORKED_EXAMPLE,
 )
-from firmware_protocol.relay import ENTRY_FIELDS
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table of Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
+
+
+def fixed_table(declared: Sequence[WireField]) -> str:
+    """Return fields that are always there, with their offsets up to one of unknown size."""
+    has_steps = any(f.scale is not None for f in declared)
+    head = ("Offset", "Field", "Type", "Unit", *(("One step",) if has_steps else ()), "Meaning")
+    rows = []
+    offset: int | None = 0
+    for f in declared:
+        step = (_scale(f),) if has_steps else ()
+        rows.append((_offset(offset), f"`{f.name}`", _type_name(f), f.unit, *step, _meaning(f)))
+        # Behind a field of unknown size no offset is known.
+        offset = None if offset is None or f.count == 0 else offset + f.size
+    return table(head, rows)
+
+
+def _offset(offset: int | None) -> str:
+    return "then" if offset is None else str(offset)
+
+
+def body_field(sentence: str) -> WireField:
+    """Return a field of as many bytes as something else says."""
+    return WireField(name="body", code="s", count=0, sentence=sentence.capitalize() + ".")
+
+
+def _type_name(declared: WireField) -> str:
+    if not declared.is_rest:
+        return declared.type_name
+    name = "text" if declared.is_text else "bytes"
+    return name if declared.max_size is None else f"{name}, {declared.min_size} to {declared.max_size}"
+
+
+def masked_table(declared: Sequence[WireField]) -> str:
+    """Return fields that a bit of the mask says are there."""
+    rows = [
+        (f.presence_bit, f"`{f.name}`", f.type_name, f.unit, _scale(f), _range(f), f.sentence)
+        for f in declared
+    ]
+    return table(("Mask bit", "Field", "Type", "Unit", "One step", "Range", "Meaning"), rows)
+
+
+def flag_table(layout: Layout) -> str:
+    """Return the bits of the mask that are values themselves, and those that are reserved."""
+    used: dict[int, MaskFlag] = {f.bit: f for f in layout.flags}
+    taken = {f.presence_bit for f in layout.fields}
+    rows = [
+        (bit, f"`{used[bit].name}`" if bit in used else "reserved", _flag_meaning(used.get(bit)))
+        for bit in range(8)
+        if bit not in taken
+    ]
+    return table(("Mask bit", "Flag", "Meaning when 1"), rows)
+
+
+def _flag_meaning(declared: MaskFlag | None) -> str:
+    if declared is None:
+        return "Always 0; a body with this bit set is dropped."
+    condition = f" Only with `{declared.clips}` present." if declared.clips else ""
+    return declared.sentence + condition
+
+
+def _scale(declared: WireField) -> str:
+    return "" if declared.scale is None else repr(declared.scale)
+
+
+def _range(declared: WireField) -> str:
+    limit = INTEGER_RANGE[declared.code][1] * (declared.scale or 1)
+    return f"±{limit:.6g}"
+
+
+def _meaning(declared: WireField) -> str:
+    parts = [declared.sentence]
+    if declared.meanings:
+        parts.append("; ".join(f"{number}: {meaning}" for number, meaning in declared.meanings.items()) + ".")
+    if declared.minimum is not None:
+        parts.append(f"At least {_number(declared.minimum)}.")
+    if declared.maximum is not None:
+        parts.append(f"At most {_number(declared.maximum)}.")
+    if declared.absent is not None:
+        parts.append(f"{declared.absent}: none or not known.")
+    return " ".join(parts)
+
+
+def _number(limit: float) -> str:
+    return f"{limit:.0f}" if float(limit).is_integer() else f"{limit:.6g}"
+
+
+def command_section() -> str:
+    """Return all verbs."""
+    overview = table(
+        ("Verb", "Name", "Changes the device", "Does what"),
+        (
+            (number, f"`{verb.name}`", "yes" if verb.changes_device else "", verb.sentence)
+            for number, verb in VERBS.items()
+        ),
+    )
+    text = COMMANDS.format(memory=ANSWER_MEMORY, delay_ms=BROADCAST_ANSWER_DELAY_US // 1000)
+    results = table(("Result", "Meaning"), RESULTS.items())
+    return "\n\n".join([text.strip(), results, overview, *map(_verb_section, VERBS.values())])
+
+
+def _verb_section(verb: VerbDeclaration) -> str:
+    parts = [f"#### {int(verb.verb)} {verb.name}", verb.sentence]
+    for title, fields in (("Arguments:", verb.arguments), ("Payload of the answer:", verb.payload)):
+        parts += [title, fixed_table(fields)] if fields else []
+    if verb.entries:
+        parts += [f"then entries, at most {verb.max_entries}, each:", fixed_table(verb.entries)]
+    if not verb.arguments and not verb.payload:
+        parts.append("No arguments; an empty payload.")
+    return "\n\n".join(parts)
+
+
+def setting_section() -> str:
+    """Return all settings."""
+    overview = table(
+        ("Key", "Name", "Type", "Unit", "One step", "From", "To", "Factory", "Meaning"),
+        map(_setting_row, SETTINGS.values()),
+    )
+    return "\n\n".join([SETTINGS_RULES.strip(), overview])
+
+
+def _setting_row(setting: Setting) -> tuple[object, ...]:
+    declared = setting.value
+    meanings = "; ".join(f"{number}: {meaning}" for number, meaning in declared.meanings.items())
+    return (
+        setting.key,
+        f"`{declared.name}`",
+        declared.type_name,
+        declared.unit,
+        "" if declared.scale is None else repr(declared.scale),
+        *_limits(declared),
+        _factory(setting),
+        f"{declared.sentence} {meanings}{'.' if meanings else ''}".strip(),
+    )
+
+
+def _limits(declared: WireField) -> tuple[str, str]:
+    """Return the least and the largest value, where they are not given by a list of meanings or by the
+    type."""
+    if declared.maximum is None:
+        return "", ""
+    return f"{declared.minimum or 0:.6g}", f"{declared.maximum:.6g}"
+
+
+def _factory(setting: Setting) -> str:
+    if setting.value.is_text:
+        return "empty"
+    if setting.value.count > 1:
+        return "matrices 1, all else 0, 25 °C"
+    return f"{setting.factory:.6g}"
+
+
+def flash_section() -> str:
+    """Return the two slots."""
+    checksum = WireField(name="crc32", code="I", sentence="Over all bytes before it, magic included.")
+    value = WireField(name="value", code="s", count=0, sentence="As many bytes as size says.")
+    return FLASH.format(
+        head=fixed_table(SLOT_FIELDS),
+        entry=fixed_table((*ENTRY_FIELDS, value)),
+        checksum=fixed_table((checksum,)),
+        size=SLOT_SIZE,
+        largest=MAX_IMAGE_SIZE,
+    ).strip()
+
+
+def transfer_section() -> str:
+    """Long wire frames on CAN."""
+    params = TransferParams()
+    return TRANSFER.format(
+        flow_control=fixed_table(FLOW_CONTROL_FIELDS),
+        piece=MAX_PIECE_DATA_SIZE,
+        flow_ms=params.flow_timeout_ns // 1_000_000,
+        piece_ms=params.piece_timeout_ns // 1_000_000,
+        wait_ms=params.wait_interval_ns // 1_000_000,
+        retries=params.max_retries,
+    ).strip()
+
+
+def version_section() -> str:
+    """Return how host and module agree on a version."""
+    lowest, highest = SUPPORTED
+    versions = f"version {lowest} alone" if lowest == highest else f"versions {lowest} to {highest}"
+    return VERSIONS.format(versions=versions).strip()
 
 
 def render() -> str:
@@ -120,7 +319,7 @@ def _packet_section(packet_class: type[Packet]) -> str:
 
 
 def _relay_section() -> str:
-    table = fixed_table((*ENTRY_FIELDS, body_field("as many bytes as length says")))
+    table = fixed_table((*relay.ENTRY_FIELDS, body_field("as many bytes as length says")))
     return "\n\n".join([f"### 0x{Kind.RELAY_BATCH:02X} RelayBatch", RELAY.strip(), table])
 
 

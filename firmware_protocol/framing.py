@@ -6,6 +6,8 @@ A wire frame before stuffing, all integers little-endian::
 
 It is stuffed by COBS (Cheshire & Baker 1999) so that it holds no zero byte, and ended by one zero.
 A receiver that joins late or loses bytes is whole again at the next zero.
+
+Which protocol versions are spoken, and how two parties agree on one.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import struct
 from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
-from typing import final
+from typing import NamedTuple, final
 from zlib import crc32
 
 from firmware_protocol import stuffing
@@ -188,3 +190,23 @@ class FrameDecoder:
         if not self._skipping:
             self.dropped[Defect.OVERLONG] += 1
         self._partial, self._skipping = b"", True
+
+
+class VersionRange(NamedTuple):
+    """Protocol versions from ``lowest`` to ``highest``, both included."""
+
+    lowest: int
+    highest: int
+
+
+SUPPORTED = VersionRange(PROTOCOL_VERSION, PROTOCOL_VERSION)
+"""What this package speaks."""
+
+NO_VERSION = 0
+"""Stands for "none in common" in the answer to HELLO."""
+
+
+def negotiate(one: tuple[int, int], other: tuple[int, int]) -> int | None:
+    """Return the highest version in both ranges (lowest, highest); None when they share none."""
+    lowest, highest = max(one[0], other[0]), min(one[1], other[1])
+    return highest if lowest <= highest and highest != NO_VERSION else None

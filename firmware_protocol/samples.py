@@ -17,7 +17,8 @@ from firmware_protocol.kinds import Kind
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-STANDARD_GRAVITY = 9.80665  # m/s²
+STANDARD_GRAVITY = 9.80665
+"""m/s²: the g of data sheets."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from gateway.reconstruction import create_reconstructor
 for _name in ("run", "record", "emulate", "watch", "modules", "doctor", "demo", "health"):
     load(_name, _Commands.lazy[_name])
 for _name in (  # what they import when they are called
-    *("devices.card_recording", "devices.endpoints", "gateway.doctor.examination", "gateway.emulation.rig"),
+    *("devices.commands.card", "devices.endpoints", "gateway.doctor.examination", "gateway.emulation.rig"),
     *(
         "gateway.modules.motion",
         "gateway.modules.remote",

@@ -14,13 +14,12 @@ import numpy as np
 from hypothesis import Phase, settings
 from scipy.spatial.transform import Rotation
 
-from devices.emulators.ideal_sensors import sense
-from devices.emulators.motions import BodyMotion, gait_motion, generic_motion
-from devices.emulators.waves import Fade
+from devices.emulators.motion.motions import BodyMotion, gait_motion, generic_motion
+from devices.emulators.motion.waves import Fade
+from devices.emulators.sensing.ideal_sensors import sense
 from devices.link import Chunk
-from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_rig
-from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
+from gateway.body.skeleton import BodyMarkers, LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.emulation.rig import dress
 from gateway.frames import (
     Clipped,

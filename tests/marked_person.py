@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gateway.body.body_file import load_body
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.body.subject_file import subject_content, write_subject
 from gateway.frames import FloatArray
 from gateway.reconstruction.optical import kernels

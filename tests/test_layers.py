@@ -91,8 +91,8 @@ MAKERS = [word for word, kind in SOURCES.items() if issubclass(kind.settings, Ot
 OF_MAKERS = {SOURCES[word].settings.__module__.removeprefix("gateway.sources.") for word in MAKERS}
 LISTS = {
     "gateway/sources/registry.py",
-    "devices/emulators/vendor_emulators.py",
-    "devices/emulators/makers_campaign.py",
+    "devices/emulators/makers/registry.py",
+    "devices/emulators/faults/makers_campaign.py",
 }
 """Where they are entered: by the gateway, by ``emulate``, by what damages their messages."""
 

@@ -16,7 +16,7 @@ import firmware_protocol
 from benchmarks.fuzzing.mutants import mutants
 from benchmarks.fuzzing.targets import ROOT, Target
 from benchmarks.fuzzing.vendor_seeds import of_vendors
-from devices.emulators.makers_campaign import LANGUAGES
+from devices.emulators.faults.makers_campaign import LANGUAGES
 from devices.link import Chunk, Framing
 from devices.marker_messages import encode_markers
 from devices.recording_file import RecordingFile

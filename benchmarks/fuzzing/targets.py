@@ -46,7 +46,7 @@ class Target:
 
 _WIRE = (
     "firmware_protocol.codec",
-    "firmware_protocol.elements",
+    "firmware_protocol.codec",
     "firmware_protocol.fields",
     "firmware_protocol.framing",
     "firmware_protocol.packets",
@@ -57,7 +57,7 @@ _MANY = 5000
 _SETTINGS = ("gateway.settings", "gateway.support.settings_files")
 _SHEETS = (
     "devices.vendor_formats.gaps",
-    "devices.vendor_formats.labels",
+    "devices.vendor_formats.tracks",
     "devices.vendor_formats.sheets",
 )
 
@@ -67,7 +67,7 @@ _ALL = (
         "can_stream",
         "CAN frames, reassembled, to packets",
         "wire",
-        (*_WIRE, "firmware_protocol.can_framing", "firmware_protocol.can_records"),
+        (*_WIRE, "firmware_protocol.can_framing", "firmware_protocol.can_framing"),
         4096,
         _MANY,
     ),
@@ -104,12 +104,12 @@ _ALL = (
         4096,
         _MANY,
     ),
-    Target("slcan_text", "lines of an slcan adapter", "wire", ("devices.slcan",), 1024, _MANY),
+    Target("slcan_text", "lines of an slcan adapter", "wire", ("devices.links.slcan",), 1024, _MANY),
     Target(
         "can_transfers",
         "long transfers over CAN, both directions of the receiver",
         "wire",
-        ("firmware_protocol.can_transfer", "firmware_protocol.can_transfer_receiver"),
+        ("firmware_protocol.can_transfer", "firmware_protocol.can_transfer"),
         4096,
         _MANY,
     ),
@@ -120,8 +120,8 @@ _ALL = (
         (
             "firmware_protocol.commands",
             "firmware_protocol.device_settings",
-            "devices.transactions",
-            "devices.emulators.command_responder",
+            "devices.commands.transactions",
+            "devices.emulators.device.command_responder",
         ),
         2048,
         _MANY,
@@ -136,7 +136,7 @@ _ALL = (
         2048,
         _MANY,
     ),
-    Target("card_file", "a memory card's file, to a recording", "wire", ("devices.card_recording",), 4096),
+    Target("card_file", "a memory card's file, to a recording", "wire", ("devices.commands.card",), 4096),
     Target("gateway_file", "gateway.yaml", "configuration", _SETTINGS, 4096),
     Target(
         "rig_file",
@@ -149,7 +149,7 @@ _ALL = (
         "body_file",
         "body files",
         "configuration",
-        ("gateway.body.body_file", "gateway.body.joint_file", "gateway.support.settings_files"),
+        ("gateway.body.body_file", "gateway.body.body_file", "gateway.support.settings_files"),
         4096,
     ),
     Target("clock_table", "clock tables", "configuration", ("gateway.clocks.table",), 2048),

@@ -11,14 +11,14 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
-from devices.card_recording import convert_card_file
-from devices.emulators.command_responder import CommandResponder, IdleDevice
-from devices.emulators.emulated_card import EmulatedCard
-from devices.emulators.makers_campaign import LANGUAGES
+from devices.commands.card import convert_card_file
+from devices.commands.transactions import Transactions
+from devices.emulators.device.command_responder import CommandResponder, IdleDevice
+from devices.emulators.device.emulated_card import EmulatedCard
+from devices.emulators.faults.makers_campaign import LANGUAGES
 from devices.link import Chunk, Framing
+from devices.links.slcan import SlcanDecoder
 from devices.marker_messages import MarkerReceiver, encode_markers
-from devices.slcan import SlcanDecoder
-from devices.transactions import Transactions
 from devices.vendor_protocols.mti import Mid, MtiCanDecoder, MtiDecoder, read_output_configuration
 from devices.vendor_protocols.mti import encode as encode_xbus
 from devices.vendor_protocols.slimevr import Handshake, SensorInfo, SlimevrDecoder

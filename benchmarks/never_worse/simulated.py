@@ -14,8 +14,8 @@ from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 from benchmarks.never_worse.case import Case
-from devices.emulators.motions import BodyMotion, generic_motion, pendulum_motion
-from devices.emulators.waves import Fade, Waves
+from devices.emulators.motion.motions import BodyMotion, generic_motion, pendulum_motion
+from devices.emulators.motion.waves import Fade, Waves
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.emulation.fast_arm import (

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.cameras.opencv import cv2
-from devices.device_errors import DeviceError
+from devices.commands.device_errors import DeviceError
 from devices.link import gateway_time_ns
 
 Picture = NDArray[np.uint8]

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
-from devices.command_client import host_bytes
+from devices.commands.command_client import host_bytes
 from devices.link import Chunk, Link, LinkError, gateway_time_ns
 from devices.link_decoder import LinkDecoder
 from firmware_protocol import BROADCAST, Packet, ReceivedPacket, WireFrame, wire_frame

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from devices.command_client import host_bytes
+from devices.commands.command_client import host_bytes
 from devices.conformance.bench import PATIENCE_S, Bench
 from devices.conformance.rule import SkippedError, demand, rule
 from devices.conformance.streaming import needs_own_timer, samples
@@ -19,9 +19,8 @@ from firmware_protocol.commands import (
     encode_arguments,
 )
 from firmware_protocol.device_settings import SETTINGS, decode_value
-from firmware_protocol.framing import BROADCAST, MAX_MODULE
+from firmware_protocol.framing import BROADCAST, MAX_MODULE, SUPPORTED
 from firmware_protocol.messages import Acknowledgement, Command
-from firmware_protocol.versions import SUPPORTED
 
 UNKNOWN_VERB, UNKNOWN_KEY = 200, 199
 _WRONG_ID = bytes(range(100, 112))

@@ -6,11 +6,11 @@ import asyncio
 from collections.abc import Mapping
 from statistics import median
 
+from devices.commands.setting_values import SETTING_KEYS, encoded_setting
 from devices.conformance.bench import PATIENCE_S, Bench, steps
 from devices.conformance.commanding import UNKNOWN_KEY, demand_result
 from devices.conformance.rule import BrokenError, SkippedError, demand, rule
 from devices.conformance.streaming import needs_own_timer, samples
-from devices.setting_values import SETTING_KEYS, encoded_setting
 from firmware_protocol import MAX_MODULE, Event, SamplingTrigger
 from firmware_protocol.commands import Result, Verb, decode_payload
 from firmware_protocol.device_settings import SETTINGS

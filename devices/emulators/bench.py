@@ -9,10 +9,10 @@ import numpy as np
 from devices.deferred import Rotation
 from devices.emulators.bodies import NO_PARENT, emulated_body
 from devices.emulators.imperfections import TYPICAL, Imperfections
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.motions import BodyMotion
+from devices.emulators.motion.waves import waves
 from devices.emulators.suit_settings import SuitSettings
 from devices.emulators.suit_traffic import SuitTraffic
-from devices.emulators.waves import waves
 
 _SPACING_M = 0.06
 _PER_ROW = 5

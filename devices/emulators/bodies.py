@@ -13,7 +13,6 @@ IntArray = NDArray[np.int64]
 NO_MODULE = -1
 """In ``EmulatedBody.module_ids``: the segment carries no module."""
 
-STANDARD_GRAVITY = 9.80665
 NO_PARENT = -1
 
 

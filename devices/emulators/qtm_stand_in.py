@@ -81,8 +81,6 @@ class QtmStandIn:
         self,
         trial: MarkerTrial | None,
         *,
-        host: str = "127.0.0.1",
-        port: int = 0,
         up: str = "+Z",
         newest: int = 25,
         left_out: Collection[int] = (),
@@ -98,9 +96,8 @@ class QtmStandIn:
         on_end: called when a client has had all frames.
         """
         self.trial = trial
-        self.host = host
-        self.port = port
-        """Asked for; 0 lets the system choose; the port chosen stands here once it is started."""
+        self.port = 0
+        """Listened on, once it is started."""
         self.sent = 0
         """Frames, to all clients."""
 
@@ -115,9 +112,9 @@ class QtmStandIn:
         self._serving: set[asyncio.Task[None]] = set()
         self._streams: dict[asyncio.StreamWriter, asyncio.Task[None]] = {}
 
-    async def start(self) -> None:
-        """Listen. Raises OSError where the port is taken."""
-        self._server = await asyncio.start_server(self._connected, self.host, self.port)
+    async def start(self, host: str = "127.0.0.1", port: int = 0) -> None:
+        """Listen; port 0 lets the system choose. Raises OSError where the port is taken."""
+        self._server = await asyncio.start_server(self._connected, host, port)
         self.port = self._server.sockets[0].getsockname()[1]
 
     async def stop(self) -> None:

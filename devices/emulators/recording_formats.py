@@ -16,8 +16,8 @@ import numpy as np
 
 from devices.deferred import Rotation, loadmat
 from devices.emulators.bodies import FloatArray
-from devices.emulators.ideal_sensors import POSITION
 from devices.emulators.recordings import LocalTrack, ModuleTrack, RecordedTracks, ReferenceTrack, track_of
+from devices.emulators.sensing.ideal_sensors import POSITION
 from devices.vendor_formats.xsens_text import read_mt_file
 
 LOCAL_DEVICE = 60

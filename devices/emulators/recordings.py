@@ -14,8 +14,8 @@ import numpy as np
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.delivery import Encoding, Transmission
-from devices.emulators.sample_encoding import SENSORS, SampleEncoder
-from devices.emulators.status_reports import device_info
+from devices.emulators.device.status_reports import device_info
+from devices.emulators.sensing.sample_encoding import SENSORS, SampleEncoder
 from firmware_protocol import FusedSample, InertialSampleFine, LocalMeasurement, WireFrame, encode_packet
 
 NOMINAL_FIELD_UT = 50.0

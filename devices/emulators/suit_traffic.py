@@ -18,20 +18,25 @@ from operator import attrgetter
 import numpy as np
 
 from devices.emulators.bodies import FloatArray
-from devices.emulators.delivery import Delivery, PacketFaults, Transmission
-from devices.emulators.disturbances import Shake, Tap
-from devices.emulators.emulated_device import EmulatedDevice
-from devices.emulators.host_side import Broadcaster, FromHost, RadioToDevice
+from devices.emulators.delivery import (
+    Broadcaster,
+    Delivery,
+    FromHost,
+    PacketFaults,
+    RadioToDevice,
+    Transmission,
+)
+from devices.emulators.device.emulated_device import EmulatedDevice
+from devices.emulators.device.emulated_flash import OFF_S
+from devices.emulators.device.relay_device import RelayDevice
+from devices.emulators.device.sampling import Sampling
+from devices.emulators.device.sender import Sender, Timed
 from devices.emulators.imperfections import IDEAL, Imperfections
-from devices.emulators.local_sampler import LocalSampler
-from devices.emulators.motions import BodyMotion
-from devices.emulators.power_cut import OFF_S
-from devices.emulators.relay_device import RelayDevice
-from devices.emulators.sampling import Sampling
-from devices.emulators.sender import Sender, Timed
-from devices.emulators.suit_devices import AIR, HOST, RADIO, UPLINK, SuitParts
-from devices.emulators.suit_settings import SuitSettings
-from devices.emulators.vendor_emulator import VendorEmulator
+from devices.emulators.makers.vendor_emulator import VendorEmulator
+from devices.emulators.motion.motions import BodyMotion
+from devices.emulators.sensing.disturbances import Shake, Tap
+from devices.emulators.sensing.local_sampler import LocalSampler
+from devices.emulators.suit_settings import AIR, HOST, RADIO, UPLINK, SuitParts, SuitSettings
 from devices.link import Framing
 from firmware_protocol import RELAY, SamplingTrigger
 

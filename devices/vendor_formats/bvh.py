@@ -16,8 +16,8 @@ import numpy as np
 
 from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
-from devices.emulators.ideal_sensors import POSITION
 from devices.emulators.recordings import FusedTrack, LocalTrack, RecordedTracks
+from devices.emulators.sensing.ideal_sensors import POSITION
 from devices.vendor_formats.gaps import checked_rate
 from devices.vendor_formats.sheets import FormatError, read_lines
 

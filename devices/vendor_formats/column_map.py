@@ -11,14 +11,21 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import FusedTrack, ModuleTrack, RecordedTracks
 from devices.vendor_formats.gaps import RATES, in_order, index_of_times, rate_of, spread
-from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
-from devices.vendor_formats.xsens_text import NORTH_WEST_UP_DEG, add_tracks, turned
+from devices.vendor_formats.tracks import NORTH_WEST_UP_DEG, add_tracks, refuse_repeats, turned
+from firmware_protocol.samples import STANDARD_GRAVITY
 
 Three = Annotated[list[str], Field(min_length=3, max_length=3)]
 Four = Annotated[list[str], Field(min_length=4, max_length=4)]
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_SCALES = {"m/s²": 1.0, "m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3, "rad/s": 1.0, "deg/s": np.pi / 180}
+_SCALES = {
+    "m/s²": 1.0,
+    "m/s^2": 1.0,
+    "g": STANDARD_GRAVITY,
+    "mg": 1e-3 * STANDARD_GRAVITY,
+    "rad/s": 1.0,
+    "deg/s": np.pi / 180,
+}
 _BEYOND = (4000.0, 350.0)
 """m/s² and rad/s (400 g, 20 000 °/s): no sensor that is worn reads more."""
 _USUAL_FORCE = (3.0, 30.0)

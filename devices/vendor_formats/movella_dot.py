@@ -15,10 +15,9 @@ import numpy as np
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import RecordedTracks
 from devices.vendor_formats.gaps import in_order, rate_of, spread, unwrapped
-from devices.vendor_formats.labels import labels_of, refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
-from devices.vendor_formats.stamped import stamped_tracks
-from devices.vendor_formats.xsens_text import orientation_columns, turned
+from devices.vendor_formats.tracks import labels_of, refuse_repeats, stamped_tracks, turned
+from devices.vendor_formats.xsens_text import orientation_columns
 
 _STAMP = "SampleTimeFine"
 _STAMP_BITS = 32

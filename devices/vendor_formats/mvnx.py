@@ -18,12 +18,11 @@ from defusedxml.ElementTree import iterparse
 
 from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
-from devices.emulators.ideal_sensors import POSITION
 from devices.emulators.recordings import FusedTrack, LocalTrack, RecordedTracks
+from devices.emulators.sensing.ideal_sensors import POSITION
 from devices.vendor_formats.gaps import checked_rate, spread
-from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, refuse_device
-from devices.vendor_formats.xsens_text import NORTH_WEST_UP_DEG, turned
+from devices.vendor_formats.tracks import NORTH_WEST_UP_DEG, refuse_repeats, turned
 
 PATH_DEVICE = 60
 """Module id under which the path of the first segment is sent, as of a local measuring device."""

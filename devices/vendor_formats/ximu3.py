@@ -17,14 +17,21 @@ import numpy as np
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import RecordedTracks
 from devices.vendor_formats.gaps import in_order, index_of_times, rate_of, spread, usual_interval
-from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, open_sheet
-from devices.vendor_formats.stamped import stamped_tracks
-from devices.vendor_formats.xsens_text import turned
+from devices.vendor_formats.tracks import refuse_repeats, stamped_tracks, turned
+from firmware_protocol.samples import STANDARD_GRAVITY
 
 INERTIAL = "Inertial.csv"
 _TIMES = ("Timestamp (us)",)
-_UNITS = {"deg/s": np.pi / 180, "g": 9.80665, "a.u.": 1.0, "": 1.0, "uT": 1.0, "rad/s": 1.0, "m/s^2": 1.0}
+_UNITS = {
+    "deg/s": np.pi / 180,
+    "g": STANDARD_GRAVITY,
+    "a.u.": 1.0,
+    "": 1.0,
+    "uT": 1.0,
+    "rad/s": 1.0,
+    "m/s^2": 1.0,
+}
 _SERIAL = re.compile(r"\s*[0-9A-F]{4}(-?[0-9A-F]{4})+\b.*$")
 
 

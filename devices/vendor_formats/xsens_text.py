@@ -14,15 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import FusedTrack, ModuleTrack, RecordedTracks, track_of
+from devices.emulators.recordings import FusedTrack, ModuleTrack, RecordedTracks
 from devices.vendor_formats.gaps import IntArray, checked_rate, in_order, spread, unwrapped
-from devices.vendor_formats.labels import labels_of, refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
-
-NORTH_WEST_UP_DEG = 90.0
-"""Turn about z that takes north-west-up, the world of Xsens and x-io, to east-north-up."""
+from devices.vendor_formats.tracks import add_tracks, labels_of, refuse_repeats, turned
 
 COUNTERS = ("PacketCounter", "Counter")
 _COUNTER_BITS = 16
@@ -77,27 +73,6 @@ def read_xsens_text(
     return RecordedTracks("xsens", rate, tuple(modules), fused=tuple(fused), notes=notes)
 
 
-def add_tracks(
-    module: int,
-    label: str,
-    times: FloatArray,
-    rows: FloatArray,
-    modules: list[ModuleTrack],
-    fused: list[FusedTrack],
-) -> None:
-    """Add the tracks of rows (n, 13) as in ``MtFile``: raw readings, orientations, or both.
-
-    Raises ``FormatError`` when there is neither.
-    """
-    acc, gyr, mag, q = rows[:, :3], rows[:, 3:6], rows[:, 6:9], rows[:, 9:]
-    if not (np.isfinite(acc).any() or np.isfinite(q).any()):
-        raise FormatError(f"module '{label}' has neither an acceleration nor an orientation in any row")
-    if np.isfinite(acc).any():
-        modules.append(track_of(module, label, times, acc, gyr, mag))
-    if np.isfinite(q).any():
-        fused.append(FusedTrack(module, label, times, q))
-
-
 def read_mt_file(path: Path, *, partial: bool = False) -> MtFile:
     """Read one module's file, its orientations turned to east-north-up. Raises ``FormatError``."""
     sheet = open_sheet(
@@ -135,25 +110,6 @@ def read_mt_file(path: Path, *, partial: bool = False) -> MtFile:
 def orientation_columns(sheet: Sheet) -> list[str]:
     """Return the columns of the orientation, quaternion (4) or matrix (9, row by row); empty: none."""
     return next((names for names in (*_QUATERNIONS, _MATRIX) if sheet.has(*names)), [])
-
-
-def turned(values: FloatArray, world_deg: float = NORTH_WEST_UP_DEG) -> FloatArray:
-    """Return orientations (n, 4) to east-north-up, of quaternions (n, 4) or matrices (n, 9); else NaN.
-
-    world_deg: turn about z that takes the file's world to east-north-up.
-    """
-    world = Rotation.from_euler("z", world_deg, degrees=True)
-    q = np.full((len(values), 4), np.nan)
-    if values.shape[1] == 9:
-        # Rows of zeros stand for what the device did not know: they are no rotations.
-        known = np.isfinite(values).all(axis=1) & (np.abs(np.linalg.det(values.reshape(-1, 3, 3)) - 1) < 0.1)
-        rotation = Rotation.from_matrix(values[known].reshape(-1, 3, 3))
-    else:
-        known = np.abs(np.linalg.norm(values, axis=1) - 1) < 0.1
-        rotation = Rotation.from_quat(values[known], scalar_first=True)
-    if known.any():
-        q[known] = (world * rotation).as_quat(canonical=True, scalar_first=True)
-    return q
 
 
 def _starts(first: list[np.int64]) -> list[int]:

@@ -10,10 +10,10 @@ from firmware_protocol import can_framing, commands, flash_slots, framing, relay
 from firmware_protocol.c.conversions import function, return_if
 from firmware_protocol.c.spelling import c_name, comment, define, heading, macro_name
 from firmware_protocol.fields import WireField
+from firmware_protocol.framing import NO_VERSION, SUPPORTED
 from firmware_protocol.kinds import CAN_PRIORITY, FROM_HOST, LOWEST_CAN_PRIORITY, Kind
 from firmware_protocol.messages import UNIQUE_ID_SIZE
 from firmware_protocol.packets import PACKETS
-from firmware_protocol.versions import NO_VERSION, SUPPORTED
 
 _HEAD_SIZE = sum(f.size for f in can_framing.HEAD_FIELDS)
 _HEADER_SIZE = sum(f.size for f in framing.HEADER_FIELDS)

@@ -1,4 +1,4 @@
-"""The body as data: segment names, a parent array with parents first, joint offsets.
+"""The body as data: segment names, a parent array with parents first, joint offsets, markers.
 
 No attribute a bone, no left and right copies of code. The skeleton is constant; poses are arrays
 indexed by segment.
@@ -15,10 +15,25 @@ import numpy as np
 
 from devices.calibration import SensorCalibration
 from gateway.body.camera import Camera
-from gateway.body.joints import Joint
-from gateway.body.markers import BodyMarkers
+from gateway.body.joints import WORLD, Joint
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray, Quantity
+
+
+@dataclass(frozen=True)
+class BodyMarkers:
+    """Where every marker sits on its segment: the source's *virtual markers*."""
+
+    labels: tuple[str, ...]
+    """Names by which the optical system sends them."""
+    segments: IntArray
+    """(n_markers,) index of the segment that carries the marker."""
+    positions: FloatArray
+    """(n_markers, 3) from the segment's proximal joint, segment axes, m."""
+    sigmas: FloatArray
+    """(n_markers,) m: how far it strays from there, by skin and measurement; its weight is 1/σ²."""
+    vertical: str = "z"
+    """The axis of the optical system that points up: x, y or z."""
 
 
 @dataclass(frozen=True)
@@ -198,3 +213,42 @@ def remounted(suit: WornSuit, event: Mapping[str, Any]) -> WornSuit:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise GatewayError(f"the event of a calibration cannot be read: {error!r}") from error
     return replace(suit, sensor_to_segment=rotations, lever_arms=places)
+
+
+def reduced(skeleton: Skeleton, worn: list[int]) -> Skeleton:
+    """Return the body without what lies beyond the worn segments: they, and all between them."""
+    chains = [_ancestors(skeleton, segment) for segment in worn]
+    shared = set(chains[0]).intersection(*chains[1:])
+    root = max(shared)  # parents stand before their children
+    keep = sorted({segment for chain in chains for segment in chain if segment >= root})
+    position = {segment: i for i, segment in enumerate(keep)}
+    offsets = skeleton.offsets[keep].copy()
+    offsets[0] = 0.0
+    joints = tuple(
+        replace(joint, proximal=position.get(joint.proximal, WORLD), distal=position[joint.distal])
+        for joint in skeleton.joints
+        if joint.distal in position and (joint.proximal in position or joint.proximal == WORLD)
+    )
+    between = tuple(
+        Interpolation(position[each.segment], position[each.first], position[each.second], each.fraction)
+        for each in skeleton.interpolations
+        if {each.segment, each.first, each.second} <= position.keys()
+    )
+    return replace(
+        skeleton,
+        name=skeleton.name if len(keep) == skeleton.n_segments else f"{skeleton.name}_part",
+        segment_names=tuple(skeleton.segment_names[segment] for segment in keep),
+        parents=np.array([position.get(int(skeleton.parents[s]), -1) for s in keep], dtype=np.int64),
+        offsets=offsets,
+        tips=skeleton.tips[keep],
+        joints=joints,
+        contacts=tuple((position[s], point) for s, point in skeleton.contacts if s in position),
+        interpolations=between,
+    )
+
+
+def _ancestors(skeleton: Skeleton, segment: int) -> list[int]:
+    chain = [segment]
+    while (parent := int(skeleton.parents[chain[-1]])) >= 0:
+        chain.append(parent)
+    return chain

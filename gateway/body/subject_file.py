@@ -14,9 +14,8 @@ import yaml
 from pydantic import Field
 
 from gateway.body.body_file import BodyFile, Point, WorldSettings, skeleton_of, worn_without_modules
-from gateway.body.camera_entries import CameraEntry
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
+from gateway.body.camera import CameraEntry
+from gateway.body.skeleton import BodyMarkers, Skeleton, VideoSetUp, WornSuit
 from gateway.errors import SettingsError, nearest
 from gateway.support.settings_files import Strict, load_settings
 from gateway.support.whole_files import write_whole

@@ -22,8 +22,7 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from gateway.body.camera import Camera
-from gateway.body.camera_entries import CameraEntry, entry_of
+from gateway.body.camera import Camera, CameraEntry, entry_of
 from gateway.calibration.cameras_import import import_cameras, is_opencv
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray

@@ -16,8 +16,7 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import ParseError, fromstring
 
-from gateway.body.camera import Camera
-from gateway.body.camera_entries import checked
+from gateway.body.camera import Camera, checked
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray
 from gateway.geometry.rotation_matrix import from_rotation_vector

@@ -13,11 +13,11 @@ from urllib.parse import unquote, urlsplit
 
 import aiomqtt
 
-from devices.arrivals import Arrivals
 from devices.cameras.heat_map_messages import camera_of
 from devices.endpoints import EndpointError, link_from_url
 from devices.link import Chunk, Framing, Link, LinkError, gateway_time_ns
-from devices.link_counts import LinkCounts
+from devices.links.arrivals import Arrivals
+from devices.links.link_counts import LinkCounts
 from gateway.contract.topics import CAMERA
 from gateway.outputs.connection import broker_connection, end_tasks, explain, unique_identifier
 from gateway.outputs.settings import MqttSettings

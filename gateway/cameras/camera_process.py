@@ -20,7 +20,7 @@ import numpy as np
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from devices.cameras.pictures import CameraError, PictureInfo, PictureSource, open_pictures
-from devices.device_errors import DeviceError
+from devices.commands.device_errors import DeviceError
 from gateway.cameras.people_follower import FollowingCameras
 from gateway.errors import GatewayError
 from gateway.frames import CameraHeatMaps

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from devices.link import SUIT, Chunk, Link, gateway_time_ns
 from devices.link_decoder import LinkDecoder
-from devices.reconnect import kept_open
+from devices.links.reconnect import kept_open
 from devices.replay_link import framings_of
 from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, Axis, axis_of, cameras_text, load_cameras

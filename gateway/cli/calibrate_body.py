@@ -20,7 +20,7 @@ from rich.text import Text
 
 from devices.calibration_script import PERIOD_S, begin_of_script, timetable
 from devices.link import Link, gateway_time_ns
-from devices.reconnect import kept_open
+from devices.links.reconnect import kept_open
 from devices.replay_link import contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.procedure import Kind, Step

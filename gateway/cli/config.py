@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from devices.signed_link import write_key
+from devices.links.signed_link import write_key
 from firmware_protocol import MAX_MODULE, RELAY
 from firmware_protocol.dbc import ALL_SENSORS, render
 from gateway.cli.options import ReplaceFiles, refuse_existing

@@ -23,17 +23,18 @@ from rich.markup import escape
 
 from devices.calibration_script import begin_of_script
 from devices.emulators.bodies import FloatArray
-from devices.emulators.calibrating import strapped_on
 from devices.emulators.delivery import Encoding, Transmission
+from devices.emulators.device.sampling import FUSED, RAW, TRIGGERED
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
-from devices.emulators.fault_plan import FaultPlan
-from devices.emulators.faulty_suit import FaultySuit, pull_cable
+from devices.emulators.faults.fault_plan import FaultPlan
+from devices.emulators.faults.faulty_suit import FaultySuit, pull_cable
 from devices.emulators.gnss_receiver import FORMATS, GnssEmulation, gnss_traffic
 from devices.emulators.imperfections import PRESETS
-from devices.emulators.motions import BodyMotion
+from devices.emulators.makers.registry import VENDOR_EMULATORS, announce
+from devices.emulators.motion.calibrating import strapped_on
+from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.recording_formats import READERS
 from devices.emulators.recordings import RecordedTracks, play
-from devices.emulators.sampling import FUSED, RAW, TRIGGERED
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import (
     CanBusTransport,
@@ -46,7 +47,6 @@ from devices.emulators.transports import (
     Transport,
     UdpTransport,
 )
-from devices.emulators.vendor_emulators import VENDOR_EMULATORS, announce
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit

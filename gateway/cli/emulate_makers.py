@@ -10,11 +10,11 @@ import numpy as np
 import typer
 import yaml
 
+from devices.emulators.device.sampling import FUSED
 from devices.emulators.emulated_suit import EmulatedSuit
-from devices.emulators.sampling import FUSED
+from devices.emulators.makers.registry import VENDOR_EMULATORS
+from devices.emulators.makers.vendor_emulator import VendorEmulator
 from devices.emulators.suit_traffic import SuitTraffic
-from devices.emulators.vendor_emulator import VendorEmulator
-from devices.emulators.vendor_emulators import VENDOR_EMULATORS
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError
 

@@ -259,7 +259,7 @@ def main() -> None:
 
 def _user_errors() -> tuple[type[Exception], ...]:
     """Return errors that the user can put right. Imported when one comes: ``--help`` needs no devices."""
-    from devices.device_errors import DeviceError
+    from devices.commands.device_errors import DeviceError
     from devices.link import LinkError
 
     return GatewayError, DeviceError, LinkError

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from devices.device_backup import parse_unique_id
+from devices.commands.device_backup import parse_unique_id
 from gateway.cli.modules_card import card_app
 from gateway.cli.modules_conformance import conformance
 from gateway.cli.modules_suit import WIDEST, Operations, SuitChoice, modules_screen, run_with_suit, with_suit

@@ -12,8 +12,7 @@ import typer
 from rich.progress import BarColumn, DownloadColumn, Progress, TimeRemainingColumn, TransferSpeedColumn
 from rich.table import Table
 
-from devices.card_download import CardFile, download
-from devices.card_recording import convert_card_file
+from devices.commands.card import CardFile, convert_card_file, download
 from devices.link import gateway_time_ns
 from devices.recording_writer import refuse_other_name
 from gateway.cli.modules_suit import Operations, SuitChoice, run_with_suit, with_suit

@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from devices.qtm_link import DEFAULT_PORT
+from devices.links.qtm_link import DEFAULT_PORT
 from gateway.body.skeleton import WornSuit
 from gateway.cli.export import export
 from gateway.cli.options import AsJson, Embedded, ReplaceFiles, refuse_existing, seconds_of, with_options
@@ -319,7 +319,7 @@ def play(
     as_json: AsJson = False,
 ) -> None:
     """Play a trial over MQTT like a live optical system: `watch`, `view` and all else see a suit."""
-    from devices.marker_file_link import MarkerFileLink
+    from devices.links.marker_file_link import MarkerFileLink
     from devices.marker_files import read_markers
     from gateway.service.further_bodies import further_bodies
     from gateway.service.service import Service
@@ -473,11 +473,9 @@ async def _serve(
     from devices.emulators.qtm_stand_in import QtmStandIn
 
     ended = asyncio.Event()
-    stand_in = QtmStandIn(
-        trial, host=host, port=port, up=f"+{up.upper()}", speed=speed, repeats=not once, on_end=ended.set
-    )
+    stand_in = QtmStandIn(trial, up=f"+{up.upper()}", speed=speed, repeats=not once, on_end=ended.set)
     try:
-        await stand_in.start()
+        await stand_in.start(host, port)
     except OSError as error:
         raise GatewayError(f"{host}:{port} cannot be served: {error.strerror or error}") from error
     typer.echo(

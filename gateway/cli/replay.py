@@ -22,7 +22,7 @@ from gateway.settings import GatewaySettings, load_gateway_settings
 from gateway.support.processor import NATIVE
 
 if TYPE_CHECKING:
-    from devices.marker_file_link import MarkerFileLink
+    from devices.links.marker_file_link import MarkerFileLink
     from gateway.recording import Recording
     from gateway.recording.solving import SolvingSetup
     from gateway.service.service import Service

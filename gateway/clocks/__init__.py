@@ -1,12 +1,20 @@
-"""Module time to gateway time.
+"""Module time to gateway time. Every module counts its own crystal; poses want one time.
 
-Every module counts its own crystal. Reading order: ``counter`` (32 bits, restarts) → ``module_clock`` (what a
-clock is; modules that share one) → ``batching``, ``floor_filter``, ``delay_floor``, ``estimated`` (rate and
-offset while capturing, from arrival times alone) → ``synchronised`` (modules that keep their clocks together
-by themselves) → ``arrival_line`` (samples without stamps) → ``sync_exchange`` (two-way exchanges) →
-``table``, ``table_calibration``, ``table_clock``, ``reference_instants`` (mode 1, distributed compensation: a
-table measured beforehand) → ``trigger``, ``trigger_answers`` (mode 2, unified control: the gateway says when
-to sample) → ``utc_anchor`` (gateway time against UTC).
+``gateway.sources.module_table`` gives every module a clock of the mode that the configuration names, and
+asks it for the gateway time of each stamp. All are ``ModuleClock``s (``module_clock``), and count by
+``counter``: 32 bits unwrapped, restarts found.
+
+- ``estimated``: rate and offset while capturing, from arrival times alone. The least delays of its packets
+  are followed by ``delay_floor``, whose equations are in ``floor_filter``; ``batching`` finds how a link
+  hands over what it has; exchanges (``sync_exchange``) say what arrivals cannot. ``clock_kernels`` does the
+  usual packet compiled, on the same state.
+- ``SharedClock``, ``synchronised``: modules that count one time, or keep their clocks together by themselves.
+- ``table``: mode 1, distributed compensation by rates measured beforehand.
+- ``trigger``: mode 2, unified control: the gateway says when to sample, and no clock is asked.
+- ``arrival_line``: samples without stamps.
+
+``utc_anchor`` is gateway time against UTC. A further mode is a ``ModuleClock`` here and its line where
+``module_table`` chooses among them.
 
 Sans-I/O and deterministic: arrival times are arguments, and gateway time is the host's monotonic clock.
 """
@@ -17,14 +25,18 @@ from gateway.clocks.counter import unwrap
 from gateway.clocks.delay_floor import warm_up
 from gateway.clocks.estimated import EstimatedClock
 from gateway.clocks.module_clock import ClockFigures, ModuleClock, SharedClock, SharedOffset
-from gateway.clocks.reference_instants import Datum, ReferenceInstants
 from gateway.clocks.sync_exchange import Exchange, SyncExchanges
 from gateway.clocks.synchronised import SynchronisedClock, SynchronisedClocks
-from gateway.clocks.table import ClockTable, clock_table, load_clock_table, save_clock_table
-from gateway.clocks.table_calibration import ClockCalibration
-from gateway.clocks.table_clock import TableClock, TableClocks
-from gateway.clocks.trigger import Trigger, TriggerTimer
-from gateway.clocks.trigger_answers import Answer, TriggerAnswers
+from gateway.clocks.table import (
+    ClockCalibration,
+    ClockTable,
+    TableClock,
+    TableClocks,
+    clock_table,
+    load_clock_table,
+    save_clock_table,
+)
+from gateway.clocks.trigger import Answer, Trigger, TriggerAnswers, TriggerTimer
 from gateway.clocks.utc_anchor import AnchorReading, AnchorWatch
 
 __all__ = [
@@ -36,12 +48,10 @@ __all__ = [
     "ClockCalibration",
     "ClockFigures",
     "ClockTable",
-    "Datum",
     "EstimatedClock",
     "Exchange",
     "LinkBatching",
     "ModuleClock",
-    "ReferenceInstants",
     "RelayBatching",
     "SharedClock",
     "SharedOffset",

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from gateway.clocks.clock_rows import ESTIMATED, MOST_PACKETS, SHARED
 from gateway.clocks.counter import COUNTER_BITS, EARLY_US, LATE_US, OVERTAKEN_US
-from gateway.clocks.module_clock import MICROSECOND_NS
+from gateway.clocks.module_clock import ESTIMATED, MICROSECOND_NS, MOST_PACKETS, SHARED
 from gateway.geometry.compiled import compiled
 
 Clock = Any

@@ -6,10 +6,9 @@ import numpy as np
 
 from gateway.clocks.batching import LinkBatching
 from gateway.clocks.clock_kernels import UNUSUAL, follow_usual
-from gateway.clocks.clock_rows import CLOCK, ESTIMATED, MOST_PACKETS
 from gateway.clocks.counter import Counter32
 from gateway.clocks.delay_floor import CRYSTAL, REMEMBERED, TRANSPORT, DelayFloor
-from gateway.clocks.module_clock import MICROSECOND_NS, ClockFigures
+from gateway.clocks.module_clock import CLOCK, ESTIMATED, MICROSECOND_NS, MOST_PACKETS, ClockFigures
 from gateway.frames import FloatArray
 from gateway.support.rows import Memory, Row, fields_of, part
 

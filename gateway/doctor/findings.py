@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from devices.serial_ports import BY_ID
+from devices.links.serial_ports import BY_ID
 
 
 class Verdict(StrEnum):

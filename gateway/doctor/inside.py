@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from devices.link import SUIT, Link
-from devices.reconnect import LinkState, ReconnectingLink
-from devices.serial_ports import serial_ports
+from devices.links.reconnect import LinkState, ReconnectingLink
+from devices.links.serial_ports import serial_ports
 from gateway.doctor import running
 from gateway.doctor.examination import disk, kernels, metrics_port
 from gateway.doctor.findings import Finding, Surroundings, bad, good, warning

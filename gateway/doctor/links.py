@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, urlsplit
 
-from devices.device_errors import DeviceError
-from devices.endpoints import link_from_url
-from devices.line_rate import DEFAULT_BITRATE, CanRate, UartRate, line_rate
+from devices.commands.device_errors import DeviceError
+from devices.endpoints import DEFAULT_BITRATE, CanRate, UartRate, line_rate, link_from_url
 from devices.link import SUIT, LinkBusyError, LinkError
 from devices.replay_link import ReplayLink
 from firmware_protocol import Defect, InertialSample

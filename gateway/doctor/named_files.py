@@ -12,7 +12,7 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from devices.link import LinkError
-from devices.marker_file_link import MarkerFileLink
+from devices.links.marker_file_link import MarkerFileLink
 from devices.replay_link import ReplayLink
 from gateway.body.robot import load_robot
 from gateway.body.skeleton import WornSuit

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from devices.reconnect import LinkState, ReconnectingLink
+from devices.links.reconnect import LinkState, ReconnectingLink
 from gateway.contract.requests import ConnectRequest
 from gateway.doctor.findings import Surroundings
 from gateway.doctor.inside import ports_of

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from devices.emulators.bodies import EmulatedBody
-from devices.emulators.fault_plan import FaultPlan
-from devices.emulators.faulty_suit import FaultySuit
+from devices.emulators.faults.fault_plan import FaultPlan
+from devices.emulators.faults.faulty_suit import FaultySuit
 from devices.emulators.imperfections import TYPICAL
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing

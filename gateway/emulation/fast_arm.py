@@ -14,9 +14,9 @@ import numpy as np
 
 from devices.deferred import Rotation, lfilter
 from devices.emulators.bodies import EmulatedBody
-from devices.emulators.ideal_sensors import SensorValues, sense
-from devices.emulators.motions import BodyMotion, generic_motion
-from devices.emulators.waves import Waves
+from devices.emulators.motion.motions import BodyMotion, generic_motion
+from devices.emulators.motion.waves import Waves
+from devices.emulators.sensing.ideal_sensors import SensorValues, sense
 from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.emulation.rig import dress
 from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity

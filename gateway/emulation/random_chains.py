@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from devices.emulators.motions import BodyMotion, generic_motion
+from devices.emulators.motion.motions import BodyMotion, generic_motion
 from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.emulation.fast_arm import POSITION_DEVICE, Switches
 from gateway.emulation.rig import dress

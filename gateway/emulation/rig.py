@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from devices.emulators.bodies import NO_MODULE, EmulatedBody, EmulatedLocalDevice, emulated_body
-from devices.emulators.calibrating import calibration_motion
-from devices.emulators.gait import WALK
-from devices.emulators.light_sampler import Sunlight
-from devices.emulators.motions import (
+from devices.emulators.motion.calibrating import calibration_motion
+from devices.emulators.motion.gait import WALK
+from devices.emulators.motion.motions import (
     BodyMotion,
     everyday_motion,
     gait_motion,
@@ -19,7 +18,8 @@ from devices.emulators.motions import (
     pendulum_motion,
     robot_arm_motion,
 )
-from devices.emulators.tumbling import TumblingMotion
+from devices.emulators.motion.tumbling import TumblingMotion
+from devices.emulators.sensing.light_sampler import Sunlight
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import Quantity
 from gateway.geometry import quaternion

@@ -10,11 +10,11 @@ import numpy as np
 
 from devices.deferred import Rotation
 from devices.emulators.bodies import EmulatedBody
-from devices.emulators.ideal_sensors import sense
 from devices.emulators.imperfections import IDEAL, Imperfections
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.motions import BodyMotion
+from devices.emulators.motion.waves import Fade
+from devices.emulators.sensing.ideal_sensors import sense
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
-from devices.emulators.waves import Fade
 from devices.link import Chunk, Framing
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit, field_vector

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from gateway.body.camera import Camera, project
 from gateway.body.joint_angles import posture
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import CameraHeatMaps, FloatArray, HeatMapFrame
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels

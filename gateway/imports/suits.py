@@ -9,16 +9,15 @@ import numpy as np
 
 from devices.deferred import Rotation
 from devices.emulators.recordings import LocalTrack
+from firmware_protocol.samples import STANDARD_GRAVITY
 from gateway.body.body_file import load_body
-from gateway.body.part import reduced
-from gateway.body.skeleton import LocalDevice, WornSuit, field_vector
+from gateway.body.skeleton import LocalDevice, WornSuit, field_vector, reduced
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, Quantity
 from gateway.geometry import quaternion
 from gateway.imports.segment_names import BODY
 from gateway.recording import SkeletonArrays
 
-_GRAVITY = 9.80665
 _DIP_DEG = 65.0
 _FIELD_UT = 50.0
 
@@ -52,7 +51,7 @@ def dressed(
         sensor_to_segment=alignment,
         lever_arms=np.zeros((n, 3)),
         local_devices=devices,
-        gravity=np.array([0.0, 0.0, -_GRAVITY]),
+        gravity=np.array([0.0, 0.0, -STANDARD_GRAVITY]),
         magnetic_field=field_vector(_FIELD_UT, _DIP_DEG),
     )
 

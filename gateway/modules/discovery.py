@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-from devices.udp_link import UdpLink
+from devices.links.udp_link import UdpLink
 from gateway.sources.makers import Announced, Discovery
 from gateway.sources.registry import SOURCES
 

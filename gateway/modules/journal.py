@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
-from devices.configure import Change
+from devices.commands.configure import Change
 from gateway.contract.requests import UniqueId
 from gateway.errors import GatewayError
 from gateway.support.file_lock import file_lock

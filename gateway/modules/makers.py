@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeVar
 
-from devices.device_errors import DeviceError, NoAnswerError, UnfinishedError
+from devices.commands.device_errors import DeviceError, NoAnswerError, UnfinishedError
 from devices.link import Link, LinkError, SentChunk, gateway_time_ns
 from gateway.frames import FusedReading, InertialBatch
 from gateway.sources.makers import (

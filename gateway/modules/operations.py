@@ -8,16 +8,15 @@ import logging
 from collections.abc import Awaitable, Callable, Collection, Mapping
 from typing import Any, TypeVar
 
-from devices.card_download import Card
-from devices.command_client import CommandClient
-from devices.configure import Change, Configurator
-from devices.device_backup import Restored, read_backup, restore_backup
-from devices.device_errors import DeviceError, UnfinishedError, UnknownDeviceError, WritesLockedError
-from devices.id_plan import plan_moves, spare_id
+from devices.commands.card import Card
+from devices.commands.command_client import CommandClient
+from devices.commands.configure import Change, Configurator
+from devices.commands.device_backup import Restored, read_backup, restore_backup
+from devices.commands.device_errors import DeviceError, UnfinishedError, UnknownDeviceError, WritesLockedError
+from devices.commands.roster import Device, Roster, plan_moves, spare_id
+from devices.commands.setting_values import encoded_setting
 from devices.link import Link, LinkError, gateway_time_ns
-from devices.reconnect import LinkState, ReconnectingLink
-from devices.roster import Device, Roster
-from devices.setting_values import encoded_setting
+from devices.links.reconnect import LinkState, ReconnectingLink
 from firmware_protocol import Defect
 from firmware_protocol.commands import ALL_FILES, Verb
 from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S

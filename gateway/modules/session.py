@@ -7,10 +7,10 @@ import contextlib
 import logging
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 
-from devices.command_client import LISTENS_TO, CommandClient
+from devices.commands.command_client import LISTENS_TO, CommandClient
 from devices.endpoints import link_from_url
 from devices.link import SUIT, Chunk, Link, LinkBusyError, LinkError, SentChunk, gateway_time_ns
-from devices.reconnect import LinkState, ReconnectingLink
+from devices.links.reconnect import LinkState, ReconnectingLink
 from devices.replay_link import ReplayLink, contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from devices.roster import Conflict, Device, Roster
+from devices.commands.roster import Conflict, Device, Roster
 from firmware_protocol.kinds import Kind
 from gateway.body.skeleton import WornSuit
 from gateway.contract.messages import Message, ModuleAvailability, ModuleClockState, ModuleState

@@ -21,7 +21,7 @@ import aiomqtt
 from paho.mqtt.properties import Properties
 from pydantic import JsonValue
 
-from devices.device_errors import DeviceError
+from devices.commands.device_errors import DeviceError
 from devices.link import LinkError
 from gateway.contract import topics
 from gateway.contract.properties import JSON, properties_of

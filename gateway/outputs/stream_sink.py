@@ -7,7 +7,7 @@ import logging
 import socket
 from collections.abc import Callable
 
-from devices.tcp_link import CONNECT_TIMEOUT_S, connect_error, keep_alive
+from devices.links.tcp_link import CONNECT_TIMEOUT_S, connect_error, keep_alive
 from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
 

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from devices import recording_format as fmt
 from devices.extras import how_to_add
 from devices.link import Chunk
-from devices.marker_file_link import trial_chunks
+from devices.links.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial
 from devices.marker_files.naming import spelt
 from devices.recording_writer import DerivedRecordingWriter, RecordingWriter
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import WornSuit
+from gateway.body.skeleton import BodyMarkers, WornSuit
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, MarkerFit, MarkerFrame
 from gateway.pipeline import Pipeline

@@ -27,7 +27,7 @@ import yaml
 
 import gateway
 from devices import recording_format as fmt
-from gateway.body.joint_file import WORLD_NAME
+from gateway.body.body_file import WORLD_NAME
 from gateway.body.joints import WORLD, Angle, Decomposition, Joint
 from gateway.body.sensor_entries import CalibrationEntry
 from gateway.body.skeleton import Skeleton, WornSuit, field_dip_deg

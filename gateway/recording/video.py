@@ -16,8 +16,7 @@ from devices import recording_format as fmt
 from devices.cameras.heat_map_messages import retimed
 from devices.link import Chunk
 from devices.recording_writer import DerivedRecordingWriter
-from gateway.body.camera import Camera
-from gateway.body.camera_entries import entry_of
+from gateway.body.camera import Camera, entry_of
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.body.subject_file import subject_content
 from gateway.errors import GatewayError

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from devices.link_counts import LinkCounts
+from devices.links.link_counts import LinkCounts
 from gateway.contract.balances import Balance
 from gateway.contract.messages import OutputCounters
 from gateway.pipeline import Pipeline

@@ -6,7 +6,7 @@ import asyncio
 import logging
 from collections.abc import Callable, Sequence
 
-from devices.command_client import host_bytes
+from devices.commands.command_client import host_bytes
 from devices.link import Link, LinkError, SentChunk, gateway_time_ns
 from firmware_protocol import WireFrame
 

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Any
 
 from devices.link import Link, gateway_time_ns
-from devices.reconnect import LinkState, ReconnectingLink
+from devices.links.reconnect import LinkState, ReconnectingLink
 from gateway.body.skeleton import WornSuit
 from gateway.clocks import AnchorWatch
 from gateway.contract.balances import Balance, unaccounted

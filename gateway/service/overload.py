@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from devices.link import gateway_time_ns
-from devices.link_counts import LinkCounts
+from devices.links.link_counts import LinkCounts
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.pipeline import LOAD_EVENT

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import gateway
 from devices.link import Link
-from devices.reconnect import LinkStatus, kept_open
+from devices.links.reconnect import LinkStatus, kept_open
 from gateway.body.skeleton import WornSuit
 from gateway.cameras.broker_link import link_of
 from gateway.contract.messages import BridgeInfo, KernelsInfo, ModuleInfo

@@ -10,7 +10,7 @@ from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 from devices.link import Chunk, Link, LinkError
-from devices.reconnect import ReconnectingLink
+from devices.links.reconnect import ReconnectingLink
 from gateway.body.skeleton import WornSuit
 from gateway.cameras.live_crowd import LiveCrowd
 from gateway.errors import SettingsError

@@ -10,7 +10,7 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
-from devices.command_client import CommandClient
+from devices.commands.command_client import CommandClient
 from devices.link import (
     SUIT,
     Chunk,
@@ -19,8 +19,8 @@ from devices.link import (
     LinkError,
     SentChunk,
 )
-from devices.link_counts import LinkCounts
-from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
+from devices.links.link_counts import LinkCounts
+from devices.links.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from firmware_protocol.can_framing import (
+    CLASSIC_DATA_SIZE,
+    FD,
+    FD_DATA_SIZE,
+    FD_FLAGS_AT,
     INDEX_MASK,
     LAST,
+    LENGTH_AT,
     LENGTH_OFFSET,
     MAX_PADDING,
     MAX_PARTIAL_FRAMES,
     OVERHEAD,
     OWN_MASK,
     OWN_PATTERN,
+    RECORD_SIZE,
     STREAM_MASK,
     STREAM_SHIFT,
-)
-from firmware_protocol.can_records import (
-    CLASSIC_DATA_SIZE,
-    FD,
-    FD_DATA_SIZE,
-    FD_FLAGS_AT,
-    LENGTH_AT,
-    RECORD_SIZE,
 )
 from firmware_protocol.framing import PROTOCOL_VERSION
 from gateway.frames import IntArray

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, Typ
 
 from pydantic import Field
 
-from devices.device_errors import DeviceError
+from devices.commands.device_errors import DeviceError
 from devices.link import Chunk, SentChunk
 from firmware_protocol import DeviceInfo, Health
 from gateway.contract.balances import Balance
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 ANOTHER_SENDER = "another_sender"
 """Reason for which datagrams of a second device on a link are dropped."""
-GRAVITY = 9.80665
-"""m/s² in the g of data sheets."""
 MAGNETIC = 1 << 9
 """Added to the kind of inertial samples: what comes of a magnetometer by itself is counted by itself."""
 TALK_S = 0.05

@@ -12,7 +12,7 @@ from devices.link import Chunk
 from devices.marker_files.naming import spellings
 from devices.marker_messages import MarkerReceiver
 from devices.vendor_formats.sheets import FormatError
-from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import BodyMarkers
 from gateway.contract.balances import Balance
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.reconstruction.optical.landmarks import to_world

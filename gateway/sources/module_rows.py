@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import InertialSample, InertialSampleFine
-from gateway.clocks.clock_rows import CLOCK
+from gateway.clocks.module_clock import CLOCK
 
 SEQUENCE = np.dtype(
     [

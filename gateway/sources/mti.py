@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
-from devices.device_errors import DeviceError, UnfinishedError
+from devices.commands.device_errors import DeviceError, UnfinishedError
 from devices.link import Chunk
 from devices.vendor_protocols.mti import (
     CLIPPED,

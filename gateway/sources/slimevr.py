@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import Field, field_validator
 
+from devices.commands.device_errors import DeviceError
 from devices.deferred import Deferred
-from devices.device_errors import DeviceError
 from devices.link import Chunk, SentChunk
 from devices.vendor_protocols import slimevr as wire
 from devices.vendor_protocols.slimevr import (

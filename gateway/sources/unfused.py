@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 from devices.vendor_protocols.rotations import Quaternion
+from firmware_protocol.samples import STANDARD_GRAVITY
 from gateway.clocks import ArrivalClock, ArrivalLine
 from gateway.frames import Vector3
-from gateway.sources.makers import GRAVITY
 
 _MOST_TURN = math.radians(2600.0)
 """rad/s; gyroscopes end at 2000 deg/s. What turns faster has been set anew."""
@@ -105,7 +105,11 @@ class UnfusedSensor:
 def _force(q_es: Quaternion, linear: Vector3) -> Vector3:
     w, x, y, z = q_es
     up_x, up_y, up_z = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z
-    return linear[0] + GRAVITY * up_x, linear[1] + GRAVITY * up_y, linear[2] + GRAVITY * up_z
+    return (
+        linear[0] + STANDARD_GRAVITY * up_x,
+        linear[1] + STANDARD_GRAVITY * up_y,
+        linear[2] + STANDARD_GRAVITY * up_z,
+    )
 
 
 def _rate(pose: _Pose, after: _Pose) -> Vector3:

@@ -12,8 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import PACKETS, Defect, InertialSample, InertialSampleFine
-from firmware_protocol.can_framing import MAX_CAN_BODY_SIZE, MAX_PARTIAL_FRAMES, MAX_PIECES, OVERHEAD
-from firmware_protocol.can_records import FD_DATA_SIZE
+from firmware_protocol.can_framing import (
+    FD_DATA_SIZE,
+    MAX_CAN_BODY_SIZE,
+    MAX_PARTIAL_FRAMES,
+    MAX_PIECES,
+    OVERHEAD,
+)
 from firmware_protocol.fields import BYTE_ORDER, Layout, WireField, layout_of
 from firmware_protocol.framing import CHECKSUM_FIELD, HEADER_FIELDS
 from firmware_protocol.relay import ENTRY_FIELDS, RELAY_BATCH

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from devices.device_errors import DeviceError, NoAnswerError, UnfinishedError
+from devices.commands.device_errors import DeviceError, NoAnswerError, UnfinishedError
 from devices.link import Chunk
 from devices.vendor_protocols.witmotion import (
     BAUDS,
@@ -33,10 +33,10 @@ from devices.vendor_protocols.witmotion import (
     encode_write,
 )
 from firmware_protocol import CanFrame, InertialSample, pack_can_records
+from firmware_protocol.samples import STANDARD_GRAVITY
 from gateway.frames import NOT_READ, Clipped, Sample
 from gateway.sources.arrival_counter import ArrivalCounter
 from gateway.sources.makers import (
-    GRAVITY,
     LEAST_RATE_SHARE,
     MAGNETIC,
     Advice,
@@ -135,7 +135,7 @@ class WitMotionDevice(MakersDevice):
         record.counter(InertialSample.KIND).count_unwrapped(number, modules.losses(chunk.link))
         if message.celsius is not None and number % _TEMPERATURE_EVERY == 0:
             record.health = health(temperature_celsius=message.celsius)
-        force = scaled(message.specific_force, GRAVITY)
+        force = scaled(message.specific_force, STANDARD_GRAVITY)
         rate = scaled(message.angular_rate, math.pi / 180.0)
         return Sample(self.module, number, time_ns, (force, rate, NOT_READ), _clipped(message))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from devices.device_errors import DeviceError
+from devices.commands.device_errors import DeviceError
 from devices.link import Chunk
 from devices.vendor_protocols.ximu3 import (
     COMMAND_PORT,
@@ -29,9 +29,9 @@ from devices.vendor_protocols.ximu3 import (
     read_announcement,
 )
 from firmware_protocol import InertialSample
+from firmware_protocol.samples import STANDARD_GRAVITY
 from gateway.frames import NOT_READ, Clipped, Sample
 from gateway.sources.makers import (
-    GRAVITY,
     LEAST_RATE_SHARE,
     MAGNETIC,
     Advice,
@@ -94,7 +94,10 @@ class Ximu3Device(MakersDevice):
             return Sample(self.module, self._inertial.newest, time_ns, (NOT_READ, NOT_READ, field))
         number = self._inertial.number(message.time_us)
         record.counter(InertialSample.KIND).count_unwrapped(number, losses)
-        force, rate = scaled(message.specific_force, GRAVITY), scaled(message.angular_rate, math.pi / 180.0)
+        force, rate = (
+            scaled(message.specific_force, STANDARD_GRAVITY),
+            scaled(message.angular_rate, math.pi / 180.0),
+        )
         return Sample(self.module, number, time_ns, (force, rate, NOT_READ), _clipped(message))
 
     def command_address(self, module: int) -> str:

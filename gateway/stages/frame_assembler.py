@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from gateway.frames import INERTIAL_SAMPLE, ImuFrame, LightReading, LocalReading
 from gateway.geometry.compiled import for_types_of
-from gateway.stages.frame_grid import GRID, MODULE, PASSED, new_block, new_rings, take
+from gateway.stages.frame_grid import GRID, MODULE, PASSED, Assembly, new_block, new_rings, take
 
 _BLOCK = 64
 """Frames that room is made for at once."""
@@ -73,15 +73,15 @@ class FrameAssembler:
         self.taken = 0
         """Readings that a frame can be made from."""
         self._module_ids = module_ids
-        self._grid, self._modules, self._rings = _new_grid(params), _new_modules(module_ids), new_rings(n)
-        self._passed = np.zeros(_PASSED_AT_FIRST, PASSED)
+        self._grid, self._modules = _new_grid(params), _new_modules(module_ids)
+        self._assembly = Assembly(self._grid, self._modules, new_rings(n), np.zeros(_PASSED_AT_FIRST, PASSED))
         self._block, self._used = new_block(_BLOCK, n), 0
         """Frames are views of it; when it is full another takes its place."""
         self._sequence = 0
         self._local: deque[LocalReading] = deque()
         self._light: deque[LightReading] = deque()
-        state = self._grid, self._modules, self._rings, self._passed
-        self._take = for_types_of(take, *state, np.zeros(0, INERTIAL_SAMPLE), 0, 0, 0, *self._block)
+        none = np.zeros(0, INERTIAL_SAMPLE)
+        self._take = for_types_of(take, self._assembly, none, 0, 0, 0, self._block)
 
     @property
     def frames(self) -> int:
@@ -123,9 +123,8 @@ class FrameAssembler:
         while True:
             begin = self._used
             index, self._used, taken, lost = self._take(
-                self._grid, self._modules, self._rings, self._passed, samples, index, arrived_ns, begin,
-                *self._block,
-            )  # fmt: skip
+                self._assembly, samples, index, arrived_ns, begin, self._block
+            )
             self.taken += taken
             if lost:
                 self._count_lost()
@@ -139,9 +138,11 @@ class FrameAssembler:
         """Allocate what was full: another block of frames, or a longer queue of arrivals."""
         if self._used == _BLOCK:
             self._block, self._used = new_block(_BLOCK, len(self._module_ids)), 0
-        if self._grid["n_passed"][0] == len(self._passed):
-            in_order = np.roll(self._passed, -int(self._grid["passed_begin"][0]))
-            self._passed = np.concatenate((in_order, np.zeros_like(in_order)))
+        passed = self._assembly.passed
+        if self._grid["n_passed"][0] == len(passed):
+            in_order = np.roll(passed, -int(self._grid["passed_begin"][0]))
+            longer = np.concatenate((in_order, np.zeros_like(in_order)))
+            self._assembly = self._assembly._replace(passed=longer)
             self._grid["passed_begin"] = 0
 
     def _count_lost(self) -> None:

@@ -71,6 +71,15 @@ INSTANT = np.dtype([("time_ns", np.int64), ("is_clipped", np.bool_)], align=True
 """A frame; is_clipped: a sensor of any module was at the end of its range."""
 
 
+class Assembly(NamedTuple):
+    """What an assembler of n modules knows."""
+
+    grids: NDArray[np.void]  # (1,) GRID
+    modules: NDArray[np.void]  # (n,) MODULE
+    rings: NDArray[np.void]  # (n, DEPTH) INERTIAL_SAMPLE
+    passed: NDArray[np.void]  # a queue of PASSED
+
+
 class Block(NamedTuple):
     """Room for T instants of n modules."""
 
@@ -99,29 +108,15 @@ def new_rings(n: int) -> NDArray[np.void]:
 
 @compiled
 def take(
-    grids: NDArray[np.void],
-    modules: NDArray[np.void],
-    rings: NDArray[np.void],
-    passed: NDArray[np.void],
-    samples: NDArray[np.void],
-    first: int,
-    arrived_ns: int,
-    used: int,
-    instants: NDArray[np.void],
-    specific_force: FloatArray,
-    angular_rate: FloatArray,
-    magnetic_field: FloatArray,
-    status: StatusArray,
-    gap_ns: IntArray,
-    clipped: StatusArray,
+    assembly: Assembly, samples: NDArray[np.void], first: int, arrived_ns: int, used: int, block: Block
 ) -> tuple[int, int, int, int]:
     """Take samples (k,) from ``first`` on, and write the instants that they complete after ``used`` others.
 
-    grids: (1,) ``GRID``; modules: (n,) ``MODULE``; rings: (n, DEPTH); passed: a queue of ``PASSED``; the
-    other arguments are the fields of a ``Block``. Returns the sample to go on with (k: all are taken), how
-    many of the block are used now, how many samples were kept, and how many samples and instants were lost.
+    Returns the sample to go on with (k: all are taken), how many of the block are used now, how many samples
+    were kept, and how many samples and instants were lost.
     """
-    grid, taken, lost = grids[0], 0, 0
+    modules, rings, passed, instants = assembly.modules, assembly.rings, assembly.passed, block.instants
+    grid, taken, lost = assembly.grids[0], 0, 0
     for index in range(first, len(samples)):
         if not grid.is_interrupted:
             if grid.n_passed == len(passed):
@@ -140,10 +135,7 @@ def take(
             continue
         while used < len(instants) and _is_due(grid, modules, passed, arrived_ns):
             instants[used].time_ns = grid.instant_ns
-            instants[used].is_clipped = _interpolate(
-                grid, modules, rings, specific_force[used], angular_rate[used], magnetic_field[used],
-                status[used], gap_ns[used], clipped[used],
-            )  # fmt: skip
+            instants[used].is_clipped = _interpolate(grid, modules, rings, block, used)
             used += 1
             grid.last_instant_ns = grid.instant_ns
             _advance(grid, modules, passed, grid.count + 1)
@@ -304,27 +296,20 @@ def _bracket(ring: NDArray[np.void], head: int, sensor: int, instant_ns: int) ->
 
 @compiled
 def _interpolate(
-    grid: Any,
-    modules: NDArray[np.void],
-    rings: NDArray[np.void],
-    specific_force: FloatArray,
-    angular_rate: FloatArray,
-    magnetic_field: FloatArray,
-    status: StatusArray,
-    gap_ns: IntArray,
-    clipped: StatusArray,
+    grid: Any, modules: NDArray[np.void], rings: NDArray[np.void], block: Block, used: int
 ) -> bool:
-    """Write all modules at the next instant, by row; returns whether a sensor was clipped.
+    """Write all modules at the next instant as the instant ``used`` of the block; return whether a sensor was
+    clipped.
 
     A module's status is that of the first sensor that it has, in the order of a sample's rows.
     """
-    is_clipped = False
+    measured = block.specific_force[used], block.angular_rate[used], block.magnetic_field[used]
+    status, gap_ns, clipped, is_clipped = block.status[used], block.gap_ns[used], block.clipped[used], False
     for m in range(len(modules)):
         ring, head = rings[m], modules[m].head
         status[m], gap_ns[m], clipped[m], judged = _MISSING, 0, 0, False
         for sensor in range(3):
-            values = (specific_force, angular_rate, magnetic_field)[sensor][m]
-            kind, span_ns = _value_at(grid, ring, head, sensor, values, clipped[m : m + 1])
+            kind, span_ns = _value_at(grid, ring, head, sensor, measured[sensor][m], clipped[m : m + 1])
             if kind >= 0 and not judged:
                 status[m], gap_ns[m], judged = kind, span_ns, True
         is_clipped |= clipped[m] != 0

@@ -10,7 +10,7 @@ import viser
 from numpy.typing import NDArray
 
 from devices.link import Chunk
-from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import BodyMarkers
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion
 from gateway.recording import Recording, SkeletonArrays

@@ -11,7 +11,7 @@ import pytest
 from devices.emulators import EmulatedSuit, SuitSettings, SuitTraffic
 from devices.emulators.transports import SignedUdpTransport
 from devices.link import gateway_time_ns
-from devices.signed_link import read_key, time_count, write_key
+from devices.links.signed_link import read_key, time_count, write_key
 from firmware_protocol import Command, Defect, InertialSample, Verb, encode_frame, wire_frame
 from firmware_protocol.commands import encode_arguments
 from firmware_protocol.messages import ANYONE

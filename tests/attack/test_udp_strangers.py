@@ -34,7 +34,7 @@ TEN = range(1, 11)
 def _short_looks(monkeypatch):
     """Ten modules that sample 25 times a second are heard, and answer, in a tenth of that."""
     monkeypatch.setattr("gateway.modules.session._LISTENED_S", 0.6)
-    monkeypatch.setattr("devices.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
+    monkeypatch.setattr("devices.commands.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
 
 
 def free_udp_port():

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import opensim_peer
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.geometry import quaternion
 
 

@@ -10,7 +10,7 @@ import pytest
 from benchmarks import soak
 from benchmarks.soak_reference import LATEST_S, SETTLED_S, SINCE_S, Comparison, Orientations
 from benchmarks.soak_simulated import simulated
-from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faults.fault_plan import FaultPlan
 from gateway.emulation.simulation import suit_17
 from gateway.frames import Status
 

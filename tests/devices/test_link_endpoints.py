@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from devices.can_link import CanLink
 from devices.endpoints import EndpointError, link_from_url
 from devices.link import Framing, Link, LinkError
+from devices.links.can_link import CanLink
+from devices.links.rfc2217_link import Rfc2217Link
+from devices.links.serial_link import DEFAULT_BAUD, SerialLink
+from devices.links.slcan_link import SlcanLink
+from devices.links.socketcan_link import SocketCanLink
+from devices.links.tcp_link import TcpLink, TcpListenLink
+from devices.links.udp_link import UdpLink
 from devices.replay_link import ReplayLink
-from devices.rfc2217_link import Rfc2217Link
-from devices.serial_link import DEFAULT_BAUD, SerialLink
-from devices.slcan_link import SlcanLink
-from devices.socketcan_link import SocketCanLink
-from devices.tcp_link import TcpLink
-from devices.tcp_listen_link import TcpListenLink
-from devices.udp_link import UdpLink
 
 FORMS = [
     ("/dev/ttyUSB0", SerialLink, {"path": "/dev/ttyUSB0", "baud": DEFAULT_BAUD}),

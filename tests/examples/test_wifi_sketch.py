@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from devices.signed_link import read_key, time_count, write_key
-from devices.udp_link import UdpLink
+from devices.links.signed_link import read_key, time_count, write_key
+from devices.links.udp_link import UdpLink
 from firmware_protocol import (
     Acknowledgement,
     Command,

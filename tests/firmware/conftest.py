@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from devices.emulators.firmware_memory import FirmwareMemory
+from devices.emulators.device.firmware_memory import FirmwareMemory
 from gateway.outputs import connection
 from tests.firmware.machines import BOARDS, MEMORIES, Machine, NotHere, build
 from tests.patience import PATIENCE_S

@@ -17,8 +17,8 @@ from typing import IO, Any
 
 import pytest
 
-from devices.emulators.firmware_memory import FirmwareMemory
-from devices.emulators.stored_settings import provision
+from devices.emulators.device.emulated_flash import provision
+from devices.emulators.device.firmware_memory import FirmwareMemory
 from firmware_protocol.flash_slots import SLOT_SIZE
 from tests.patience import PATIENCE_S
 

@@ -15,7 +15,7 @@ from devices.conformance import RULES, Finding, Outcome, check_module
 from devices.conformance.streaming import STREAMING
 from devices.emulators import EmulatedSuit, Imperfections, SuitSettings, SuitTraffic
 from devices.emulators.delivery import Encoding
-from devices.emulators.firmware_memory import FirmwareMemory
+from devices.emulators.device.firmware_memory import FirmwareMemory
 from devices.emulators.transports import CanBusTransport, PtyTransport
 from devices.endpoints import link_from_url
 from devices.link import Framing

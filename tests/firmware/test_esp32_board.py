@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from devices.commands.setting_values import SETTING_KEYS, encoded_setting
 from devices.conformance.bench import Bench
 from devices.endpoints import link_from_url
-from devices.setting_values import SETTING_KEYS, encoded_setting
 from firmware_protocol import InertialSample
 from firmware_protocol.commands import Result, Verb
 from tests.firmware.machines import (

@@ -18,9 +18,9 @@ from random import Random
 
 import pytest
 
-from devices.emulators.firmware_memory import FirmwareMemory
-from devices.emulators.stored_settings import KEYS
-from devices.emulators.wire_damage import BYTE_DAMAGES
+from devices.emulators.device.emulated_flash import KEYS
+from devices.emulators.device.firmware_memory import FirmwareMemory
+from devices.emulators.faults.wire_damage import BYTE_DAMAGES
 from firmware_protocol import (
     BROADCAST,
     PACKETS,

@@ -7,7 +7,7 @@ import asyncio
 import numpy as np
 import pytest
 
-from devices.emulators.firmware_memory import motion_rows
+from devices.emulators.device.firmware_memory import motion_rows
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, move
 from gateway.outputs.settings import MqttSettings

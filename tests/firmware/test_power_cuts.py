@@ -21,12 +21,12 @@ from typing import Any
 import pytest
 import yaml
 
-from devices.command_client import CommandClient
-from devices.configure import Configurator
-from devices.device_errors import DeviceError
+from devices.commands.command_client import CommandClient
+from devices.commands.configure import Configurator
+from devices.commands.device_errors import DeviceError
+from devices.commands.setting_values import SETTING_KEYS, encoded_setting
 from devices.endpoints import link_from_url
 from devices.link import LinkError
-from devices.setting_values import SETTING_KEYS, encoded_setting
 from firmware_protocol import MAX_MODULE
 from firmware_protocol.commands import Verb
 from firmware_protocol.flash_slots import SLOT_SIZE, decode_slot

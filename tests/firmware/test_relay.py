@@ -8,9 +8,9 @@ from collections import Counter, defaultdict
 
 import pytest
 
-from devices.card_download import Card, download
-from devices.command_client import CommandClient
-from devices.configure import Configurator
+from devices.commands.card import Card, download
+from devices.commands.command_client import CommandClient
+from devices.commands.configure import Configurator
 from devices.conformance import Outcome, check_module
 from devices.conformance.bench import Bench, steps
 from devices.endpoints import link_from_url

@@ -12,7 +12,7 @@ import pytest
 
 from devices.conformance import Outcome, check_module
 from devices.conformance.bench import Bench
-from devices.emulators.firmware_memory import FirmwareMemory
+from devices.emulators.device.firmware_memory import FirmwareMemory
 from devices.endpoints import link_from_url
 from firmware_protocol import Health, InertialSample, LogLine
 from firmware_protocol.commands import Verb

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.emulators.firmware_memory import FirmwareMemory
+from devices.emulators.device.firmware_memory import FirmwareMemory
 from devices.emulators.local_broker import free_port
 from devices.link import Chunk
 from firmware_protocol import FrameDecoder, InertialSample, PacketDecoder

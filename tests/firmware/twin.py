@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from devices.emulators.command_responder import CommandResponder, IdleDevice
-from devices.emulators.stored_settings import KEYS
+from devices.emulators.device.command_responder import CommandResponder, IdleDevice
+from devices.emulators.device.emulated_flash import KEYS
 from firmware_protocol import BROADCAST, Acknowledgement, Command, SyncRequest
 from firmware_protocol.commands import Verb, decode_arguments
 from firmware_protocol.framing import Entry

@@ -23,16 +23,17 @@ from firmware_protocol import (
     wire_frame,
 )
 from firmware_protocol.can_transfer import (
+    MAX_TRANSFERS,
     FlowControl,
     FlowStatus,
     Outcome,
     TransferParams,
     TransferPiece,
+    TransferReceiver,
     TransferSender,
     flow_control_of,
     flow_control_piece,
 )
-from firmware_protocol.can_transfer_receiver import MAX_TRANSFERS, TransferReceiver
 from firmware_protocol.framing import MAX_BODY_SIZE, MAX_FRAME_SIZE
 
 seeded = settings(deadline=None, derandomize=True)

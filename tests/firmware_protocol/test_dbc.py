@@ -25,7 +25,7 @@ from firmware_protocol import (
 from firmware_protocol.dbc import ALL_SENSORS, PATH, render
 from firmware_protocol.fields import layout_of
 from firmware_protocol.framing import serialize
-from firmware_protocol.golden_examples import FRAMES
+from firmware_protocol.golden import FRAMES
 
 cantools = pytest.importorskip("cantools", reason="cantools is not installed")
 

@@ -29,10 +29,15 @@ from firmware_protocol import (
     pack_can_records,
 )
 from firmware_protocol.flash_slots import decode_slot
-from firmware_protocol.golden import VECTORS, packet_vectors
-from firmware_protocol.golden_commands import command_vectors, setting_vectors
-from firmware_protocol.golden_defects import defect_vectors
-from firmware_protocol.golden_forms import as_json, received_as_json
+from firmware_protocol.golden import (
+    VECTORS,
+    as_json,
+    command_vectors,
+    defect_vectors,
+    packet_vectors,
+    received_as_json,
+    setting_vectors,
+)
 
 PACKETS = json.loads((VECTORS / "packets.json").read_text(encoding="utf-8"))
 COMMANDS = json.loads((VECTORS / "commands.json").read_text(encoding="utf-8"))

@@ -33,7 +33,7 @@ from firmware_protocol import (
     wire_frame,
 )
 from firmware_protocol.framing import MAX_BODY_SIZE
-from firmware_protocol.golden_examples import FRAMES
+from firmware_protocol.golden import FRAMES
 
 seeded = settings(deadline=None, derandomize=True)
 

@@ -10,9 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import DELIMITER, Defect, FrameDecoder, WireFrame, encode_frame
-from firmware_protocol.golden import VECTORS
-from firmware_protocol.golden_defects import GOOD
-from firmware_protocol.golden_signing import KEY, signing_vectors
+from firmware_protocol.golden import GOOD, KEY, VECTORS, signing_vectors
 from firmware_protocol.signing import SENT_SIGNATURE_SIZE, WINDOW, SignedFrames
 
 MODULE = 0x00A1B2C3

@@ -8,7 +8,7 @@ from zlib import crc32
 
 import pytest
 
-from devices.emulators import wire_campaign
+from devices.emulators.faults import wire_campaign
 from firmware_protocol import CanFrameDecoder, Defect, FrameDecoder
 from firmware_protocol.framing import Entry
 

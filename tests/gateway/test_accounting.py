@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from devices.emulators import IDEAL, Encoding, SuitSettings, bench_suit
-from devices.emulators.fault_plan import FaultPlan
-from devices.emulators.faulty_suit import FaultySuit
+from devices.emulators.faults.fault_plan import FaultPlan
+from devices.emulators.faults.faulty_suit import FaultySuit
 from devices.link import Chunk, Framing
 from firmware_protocol import InertialSample
 from gateway.body.rig import load_rig

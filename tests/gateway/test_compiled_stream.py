@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.emulators.wire_damage import BYTE_DAMAGES, PIECE_DAMAGES, ByteStream, CanBus
-from devices.emulators.wire_traffic import Source
+from devices.emulators.faults.wire_damage import BYTE_DAMAGES, PIECE_DAMAGES, ByteStream, CanBus, Source
 from devices.link import Chunk, Framing, SentChunk
 from firmware_protocol import (
     BROADCAST,
@@ -36,7 +35,7 @@ from firmware_protocol import (
 from firmware_protocol.golden import VECTORS
 from firmware_protocol.signing import SignedFrames
 from gateway.clocks import ClockTable, TriggerAnswers
-from gateway.clocks.clock_rows import MOST_PACKETS
+from gateway.clocks.module_clock import MOST_PACKETS
 from gateway.emulation.both_ways import BothWays, Difference
 from gateway.sources import compiled_decoding
 from gateway.sources import suit as readable_way

@@ -2,7 +2,7 @@
 
 import pytest
 
-from devices.line_rate import CanRate, UartRate, line_rate
+from devices.endpoints import CanRate, UartRate, line_rate
 from gateway.doctor.examination import examine
 from gateway.doctor.findings import Verdict
 from gateway.doctor.links import capacity

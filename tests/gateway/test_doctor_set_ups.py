@@ -33,7 +33,7 @@ def _state_of_its_own(tmp_path, monkeypatch):
 def examined(tmp_path, unused_port, monkeypatch):
     """``examined(url=…, here=…)``: the findings about a configuration, by subject."""
     # What is asked here is not for relays; a few modules answer within 10 ms, unless the machine is busy.
-    monkeypatch.setattr("devices.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
+    monkeypatch.setattr("devices.commands.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
 
     def run(url="tcp://127.0.0.1:1", rig="single", listen_s=0.0, here=None, mqtt=None, **more):
         settings = {

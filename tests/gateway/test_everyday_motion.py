@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.emulators.everyday import GRID_HZ, STRIDE_HZ, Lap
-from devices.emulators.motions import everyday_motion
-from devices.emulators.stride import STRIDE
+from devices.emulators.motion.everyday import GRID_HZ, STRIDE_HZ, Lap
+from devices.emulators.motion.motions import everyday_motion
+from devices.emulators.motion.stride import STRIDE
 from devices.normal_gait import normal_gait
 from gateway.body.joint_angles import joint_angles
 from gateway.body.rig import load_rig

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from devices.link import Chunk
 from gateway.body.body_file import WorldSettings, load_body, worn_without_modules
-from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import BodyMarkers
 from gateway.contract.balances import unaccounted
 from gateway.pipeline import LOAD_EVENT, Pipeline
 from gateway.reconstruction import OPTICAL

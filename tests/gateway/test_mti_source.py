@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from devices.emulators.mti_emulator import MtiEmulator
-from devices.emulators.vendor_emulator import Sensed
+from devices.emulators.makers.mti import MtiEmulator
+from devices.emulators.makers.vendor_emulator import Sensed
 from devices.link import Chunk
 from devices.vendor_protocols.mti import Mid, encode
 from firmware_protocol import InertialSample

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.emulators import Imperfections, SuitSettings, SuitTraffic
-from devices.emulators.motions import generic_motion
+from devices.emulators.motion.motions import generic_motion
 from devices.link import Chunk, Framing
 from firmware_protocol import (
     FrameDecoder,

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
-from devices.reconnect import LinkState, ReconnectingLink
+from devices.links.reconnect import LinkState, ReconnectingLink
 from gateway.contract.requests import ConnectRequest
 from gateway.doctor.findings import Surroundings
 from gateway.doctor.port_choice import PortChoice, url_of

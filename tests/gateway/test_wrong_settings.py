@@ -17,7 +17,7 @@ import pytest
 import yaml
 from pydantic import BaseModel
 
-from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faults.fault_plan import FaultPlan
 from devices.link import LinkError
 from devices.vendor_formats.column_map import ColumnMap
 from gateway.analysis.inertia_file import InertiaFile

@@ -7,7 +7,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faults.fault_plan import FaultPlan
 from gateway.errors import SettingsError
 from gateway.settings import load_gateway_settings
 from gateway.support import yaml_text

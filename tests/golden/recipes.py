@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from devices import recording_format as fmt
 from devices.cameras.heat_map_messages import retimed
-from devices.command_client import host_bytes
+from devices.commands.command_client import host_bytes
 from devices.emulators import (
     ROUGH,
     TYPICAL,
@@ -30,24 +30,23 @@ from devices.emulators import (
     SuitTraffic,
     Transmission,
 )
-from devices.emulators.bno08x_emulator import Bno08xEmulator
 from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
-from devices.emulators.light_sampler import Shade
-from devices.emulators.mocopi_emulator import mocopi_emulators
-from devices.emulators.mti_emulator import MtiCanEmulator, MtiEmulator
-from devices.emulators.mvn_emulator import mvn_emulators
-from devices.emulators.slimevr_emulator import SlimevrEmulator
-from devices.emulators.vendor_emulator import MixedSuit, VendorEmulator
-from devices.emulators.witmotion_emulator import WitMotionCanEmulator, WitMotionEmulator
-from devices.emulators.ximu3_emulator import Ximu3Emulator
+from devices.emulators.makers.bno08x import Bno08xEmulator
+from devices.emulators.makers.mocopi import mocopi_emulators
+from devices.emulators.makers.mti import MtiCanEmulator, MtiEmulator
+from devices.emulators.makers.mvn import mvn_emulators
+from devices.emulators.makers.slimevr import SlimevrEmulator
+from devices.emulators.makers.vendor_emulator import MixedSuit, VendorEmulator
+from devices.emulators.makers.witmotion import WitMotionCanEmulator, WitMotionEmulator
+from devices.emulators.makers.ximu3 import Ximu3Emulator
+from devices.emulators.sensing.light_sampler import Shade
 from devices.link import Chunk, Framing, InputEvent, SentChunk
 from devices.marker_messages import encode_markers
 from devices.recording_writer import DerivedRecordingWriter, session_record
 from firmware_protocol import BROADCAST, SamplingTrigger, WireFrame, wire_frame
 from gateway.body.body_file import WorldSettings, worn_without_modules
-from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_rig
-from gateway.body.skeleton import CameraPosition, LocalDevice, WornSuit
+from gateway.body.skeleton import BodyMarkers, CameraPosition, LocalDevice, WornSuit
 from gateway.clocks import clock_table, save_clock_table
 from gateway.emulation.rig import dress, move, sunlight
 from gateway.frames import FloatArray, Quantity

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from devices.command_client import CommandClient
-from devices.configure import Configurator
+from devices.commands.command_client import CommandClient
+from devices.commands.configure import Configurator
 from devices.conformance import Outcome, check_module
 from devices.conformance.bench import Bench
-from devices.emulators.firmware_memory import FirmwareMemory
+from devices.emulators.device.firmware_memory import FirmwareMemory
 from devices.endpoints import link_from_url
-from devices.socketcan_link import can_interfaces
+from devices.links.socketcan_link import can_interfaces
 from firmware_protocol import InertialSample, LogLine
 
 PROGRAM = Path(__file__).parents[2] / "build" / "firmware" / "module_posix_can"

@@ -13,14 +13,14 @@ from collections import Counter
 
 import pytest
 
-from devices import socketcan_link
 from devices.back_off import BackOff
 from devices.emulators import EmulatedSuit, Encoding, SuitSettings, bench_suit
 from devices.emulators.transports import CanBusTransport
 from devices.link import Framing, LinkError
-from devices.link_counts import LostBefore
-from devices.reconnect import LinkState, ReconnectingLink
-from devices.socketcan_link import SocketCanLink, can_interfaces, open_can_socket
+from devices.links import socketcan_link
+from devices.links.link_counts import LostBefore
+from devices.links.reconnect import LinkState, ReconnectingLink
+from devices.links.socketcan_link import SocketCanLink, can_interfaces, open_can_socket
 from firmware_protocol import CanFrameDecoder, InertialSample, PacketDecoder
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from devices.reconnect import LinkState, ReconnectingLink
+from devices.links.reconnect import LinkState, ReconnectingLink
 from gateway.body.rig import load_rig
 from gateway.outputs import connection, mqtt
 from gateway.outputs.settings import MqttSettings

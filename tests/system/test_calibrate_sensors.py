@@ -10,9 +10,9 @@ import pytest
 
 from devices.emulators.emulated_suit import EmulatedSuit
 from devices.emulators.imperfections import UNCALIBRATED
+from devices.emulators.motion.tumbling import TumblingMotion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
-from devices.emulators.tumbling import TumblingMotion
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress

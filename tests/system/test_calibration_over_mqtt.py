@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from devices.calibration_script import timetable
-from devices.emulators.calibrating import calibration_motion, strapped_on
 from devices.emulators.emulated_suit import EmulatedSuit
+from devices.emulators.motion.calibrating import calibration_motion, strapped_on
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 from gateway.body.rig import load_rig

@@ -8,7 +8,7 @@ import socket
 import numpy as np
 import pytest
 
-from devices.reconnect import LinkState
+from devices.links.reconnect import LinkState
 from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
 from gateway.cameras.broker_outlet import BrokerOutlet

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.card_download import Card, download
-from devices.card_recording import convert_card_file
-from devices.command_client import CommandClient
+from devices.commands.card import Card, convert_card_file, download
+from devices.commands.command_client import CommandClient
 from devices.link import Chunk
 from devices.replay_link import ReplayLink
 from firmware_protocol import RELAY, FrameDecoder, PacketDecoder, encode_frame, wire_frame

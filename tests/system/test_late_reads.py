@@ -15,7 +15,7 @@ from devices.emulators.imperfections import TYPICAL
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 from devices.link import Chunk, gateway_time_ns
-from devices.serial_link import SerialLink
+from devices.links.serial_link import SerialLink
 from gateway.body.rig import load_rig
 from gateway.contract.messages import PoseMessage
 from gateway.emulation.rig import dress, move

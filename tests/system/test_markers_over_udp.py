@@ -11,9 +11,8 @@ import numpy as np
 import orjson
 import pytest
 
-from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_rig
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.contract.balances import unaccounted
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray, MarkerFrame

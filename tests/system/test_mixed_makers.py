@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from devices.emulators.imperfections import TYPICAL
+from devices.emulators.makers.vendor_emulator import MixedSuit
+from devices.emulators.makers.witmotion import WitMotionEmulator
+from devices.emulators.makers.ximu3 import Ximu3Emulator
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
-from devices.emulators.vendor_emulator import MixedSuit
-from devices.emulators.witmotion_emulator import WitMotionEmulator
-from devices.emulators.ximu3_emulator import Ximu3Emulator
 from devices.link import Chunk
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from devices.emulators.power_cut import Moment, PowerCut
+from devices.emulators.device.emulated_flash import Moment, PowerCut
 from devices.emulators.transports import PtyTransport
 from firmware_protocol import RELAY
 from firmware_protocol.commands import Verb
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.system
 RIG = "robot_arm_4"
 STILL = "gateway.modules.motion.LEAST_SWING", 1e3
 """The arm moves on its own, now and then as if it were shaken: what says itself that it was tapped counts."""
-SHORT_LOOK = "devices.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4)
+SHORT_LOOK = "devices.commands.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4)
 """Four modules without a relay answer within 10 ms, unless the machine is busy."""
 
 

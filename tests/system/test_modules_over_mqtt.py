@@ -14,7 +14,7 @@ import pytest
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from devices.device_errors import DeviceError
+from devices.commands.device_errors import DeviceError
 from firmware_protocol import RELAY
 from gateway.body.rig import load_rig
 from gateway.contract.request_messages import LARGEST_REQUEST, ResponseMessage
@@ -53,7 +53,7 @@ def served(mosquitto, commanded_suit, monkeypatch):
             allow_device_writes=allow_device_writes,
         )
         if not suit_settings.get("has_relay"):  # four modules without one answer within 10 ms, or soon after
-            monkeypatch.setattr("devices.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
+            monkeypatch.setattr("devices.commands.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
         async with commanded_suit(**suit_settings) as suit:
             service = Service(settings, load_rig("robot_arm_4"), links=[suit.link])
             async with running(service):

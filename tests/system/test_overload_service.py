@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from devices.reconnect import LinkState
+from devices.links.reconnect import LinkState
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
 from gateway.recording import open_recording

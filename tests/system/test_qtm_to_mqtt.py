@@ -9,9 +9,8 @@ import pytest
 
 from devices.emulators.qtm_stand_in import QtmStandIn
 from devices.marker_files import MarkerTrial
-from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_rig
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.contract.balances import unaccounted
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion

@@ -88,7 +88,7 @@ async def test_a_link_without_a_port_is_given_one_on_the_page(
 ):
     """The gateway runs in this process, for only here its computer's ports can be those of an emulator."""
     (by_id := tmp_path / "by-id").mkdir()
-    monkeypatch.setattr("devices.serial_ports.BY_ID", by_id)
+    monkeypatch.setattr("devices.links.serial_ports.BY_ID", by_id)
     port = by_id / "usb-Receiver-if00"
     suit = command("emulate", "--rig", "arm_3", "--on", "pty", "--json", "--link", port)
     await suit.until_it_says('"url"')

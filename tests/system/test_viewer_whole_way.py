@@ -20,9 +20,9 @@ import pytest
 
 from devices.calibration_script import timetable
 from devices.emulators.bodies import NO_MODULE
-from devices.emulators.calibrating import calibration_motion
 from devices.emulators.emulated_suit import EmulatedSuit
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.calibrating import calibration_motion
+from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 from devices.link import gateway_time_ns

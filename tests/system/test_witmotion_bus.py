@@ -10,9 +10,9 @@ import pytest
 
 from devices.emulators.emulated_suit import EmulatedSuit
 from devices.emulators.imperfections import TYPICAL
+from devices.emulators.makers.witmotion import witmotion_can_emulators
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import CanBusTransport, LinkPerDevice
-from devices.emulators.witmotion_emulator import witmotion_can_emulators
 from devices.endpoints import link_from_url
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted

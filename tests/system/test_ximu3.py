@@ -8,10 +8,10 @@ import contextlib
 import numpy as np
 
 from devices.emulators.imperfections import Imperfections
-from devices.emulators.motions import generic_motion
+from devices.emulators.makers.vendor_emulator import MixedSuit
+from devices.emulators.makers.ximu3 import Ximu3Emulator
+from devices.emulators.motion.motions import generic_motion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
-from devices.emulators.vendor_emulator import MixedSuit
-from devices.emulators.ximu3_emulator import Ximu3Emulator
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
 from gateway.emulation.rig import dress

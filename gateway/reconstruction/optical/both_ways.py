@@ -13,8 +13,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import FloatArray, MarkerFrame, SkeletonFrame
 from gateway.reconstruction.optical.pose_solver import Held, Pose
 from gateway.reconstruction.optical.reconstructor import Named, OpticalReconstructor

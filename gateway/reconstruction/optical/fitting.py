@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.marker_files import MarkerTrial
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gateway.body.joints import Decomposition
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import FloatArray, IntArray
 from gateway.geometry import rotation_matrix as rm
 from gateway.geometry.compiled import compiled

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from devices.deferred import butter, minimize, sosfiltfilt
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix as rm
 from gateway.reconstruction.optical import kernels

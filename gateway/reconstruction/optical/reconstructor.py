@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import FloatArray, MarkerFit, MarkerFrame, SkeletonFrame, Status
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm

@@ -6,8 +6,7 @@ import functools
 
 import numpy as np
 
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import MarkerFrame
 from gateway.reconstruction.optical.rates import WINDOW
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor

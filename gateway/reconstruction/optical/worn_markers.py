@@ -11,7 +11,7 @@ import numpy as np
 from devices.marker_files import MarkerTrial
 from devices.marker_files.naming import spellings, spelt
 from devices.marker_files.trial import METRES
-from gateway.body.part import reduced
+from gateway.body.skeleton import reduced
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.ghosts import sides_kept, without_ghosts
 from gateway.reconstruction.optical.marker_set import MarkerSet, PointRule, load_marker_set, names_in

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from gateway.body.body_file import load_body
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.errors import SettingsError, nearest
 from gateway.support.settings_files import Strict, find_file, load_settings
 

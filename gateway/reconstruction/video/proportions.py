@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.video.inverse_kinematics import keypoint_places, video_body

@@ -12,15 +12,16 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 
 import numpy as np
 
+from firmware_protocol.samples import STANDARD_GRAVITY
 from gateway.body.inertia import BodyInertia, body_inertia
-from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import BodyMarkers
 from gateway.contract.opensim_names import BODIES
-from gateway.recording.exporters.opensim_angles import Turns, model_turns, pelvis_origin
+from gateway.recording.exporters.opensim import Turns, model_turns, pelvis_origin
 from gateway.recording.exporters.take import Take
 
 USUAL_KG = 75.0
 """Of a person whose mass is not known."""
-_GRAVITY = "0 -9.80665 0"
+_GRAVITY = f"0 {-STANDARD_GRAVITY} 0"
 _JOINT_RADIUS_M = 0.015
 """Of the ball that shows a joint."""
 

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import EmulatedBody, EmulatedLocalDevice, emulated_body
 from devices.emulators.imperfections import IDEAL, Imperfections
-from devices.emulators.motions import robot_arm_motion
+from devices.emulators.motion.motions import robot_arm_motion
+from devices.emulators.motion.waves import Fade
 from devices.emulators.suit_settings import SuitSettings
 from devices.emulators.suit_traffic import SuitTraffic
-from devices.emulators.waves import Fade
 from devices.link import Framing
 from firmware_protocol import (
     BROADCAST,

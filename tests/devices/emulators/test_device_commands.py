@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from devices.emulators.imperfections import Imperfections
-from devices.emulators.motions import walking_motion
+from devices.emulators.motion.motions import walking_motion
 from devices.emulators.suit_traffic import SuitTraffic
 from firmware_protocol import (
     BROADCAST,

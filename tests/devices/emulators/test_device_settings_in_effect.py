@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.imperfections import Imperfections
-from devices.emulators.motions import walking_motion
+from devices.emulators.motion.motions import walking_motion
 from devices.emulators.suit_traffic import SuitTraffic
 from firmware_protocol import (
     BROADCAST,

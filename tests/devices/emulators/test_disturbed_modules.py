@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.emulators.bench import bench_suit
-from devices.emulators.disturbances import Shake, Tap, felt
-from devices.emulators.ideal_sensors import GRAVITY
 from devices.emulators.imperfections import IDEAL
+from devices.emulators.sensing.disturbances import Shake, Tap, felt
+from devices.emulators.sensing.ideal_sensors import GRAVITY
 from firmware_protocol import DeviceInfo, Event, InertialSample
 from firmware_protocol.commands import Result, Verb
 

@@ -6,7 +6,7 @@ from zlib import crc32
 
 import pytest
 
-from devices.emulators.emulated_card import CardEntry, EmulatedCard
+from devices.emulators.device.emulated_card import CardEntry, EmulatedCard
 
 
 def test_files_grow_and_are_read_in_pieces():

@@ -6,8 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.emulators.emulated_flash import ERASED, EmulatedFlash, PowerLost
-from devices.emulators.stored_settings import StoredSettings, provision
+from devices.emulators.device.emulated_flash import (
+    ERASED,
+    EmulatedFlash,
+    PowerLost,
+    StoredSettings,
+    provision,
+)
 from firmware_protocol.device_settings import factory_settings
 from firmware_protocol.flash_slots import SlotStore
 

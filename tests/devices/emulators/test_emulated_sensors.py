@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.emulators.ideal_sensors import GRAVITY, MAGNETIC_FIELD, measure_point, sense
-from devices.emulators.imperfect_sensors import ImperfectSensors
 from devices.emulators.imperfections import (
     IDEAL,
     PRESETS,
@@ -18,8 +16,10 @@ from devices.emulators.imperfections import (
     draw_errors,
     module_random,
 )
-from devices.emulators.kinematics_truth import MotionState
-from devices.emulators.motions import pendulum_motion, walking_motion
+from devices.emulators.motion.kinematics_truth import MotionState
+from devices.emulators.motion.motions import pendulum_motion, walking_motion
+from devices.emulators.sensing.ideal_sensors import GRAVITY, MAGNETIC_FIELD, measure_point, sense
+from devices.emulators.sensing.inertial_sampler import ImperfectSensors
 
 IDENTITY = np.eye(3)[None]
 

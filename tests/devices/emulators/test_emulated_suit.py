@@ -13,7 +13,7 @@ import pytest
 
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.emulated_suit import EmulatedSuit
-from devices.emulators.motions import robot_arm_motion
+from devices.emulators.motion.motions import robot_arm_motion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import (
     CanBusTransport,

@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from devices.emulators.fault_plan import FaultPlan, Stall
-from devices.emulators.fault_windows import FaultWindows
+from devices.emulators.faults.fault_plan import FaultPlan, FaultWindows, Stall
 
 times = st.integers(0, 400).map(lambda tick: tick / 8)
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devices.emulators.gait import RUN, WALK, Gait
-from devices.emulators.legs import HEEL, TOE
-from devices.emulators.motions import gait_motion
-from devices.emulators.waves import Fade
+from devices.emulators.motion.gait import RUN, WALK, Gait
+from devices.emulators.motion.legs import HEEL, TOE
+from devices.emulators.motion.motions import gait_motion
+from devices.emulators.motion.waves import Fade
 
 FROM_S = 8.0
 GAITS = [WALK, RUN, replace(WALK, radius=4.0), replace(WALK, radius=2.0), replace(RUN, radius=6.0)]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from devices.emulators.bodies import emulated_body
-from devices.emulators.light_sampler import LightSampler, Shade, Sunlight
-from devices.emulators.motions import robot_arm_motion
+from devices.emulators.motion.motions import robot_arm_motion
+from devices.emulators.sensing.light_sampler import LightSampler, Shade, Sunlight
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from firmware_protocol import FrameDecoder, InertialSample, LightSample, PacketDecoder
 

@@ -3,8 +3,8 @@
 import pytest
 
 from devices.emulators.delivery import Transmission
-from devices.emulators.fault_plan import FaultPlan
-from devices.emulators.link_faults import LinkFaults
+from devices.emulators.faults.fault_plan import FaultPlan
+from devices.emulators.faults.faulty_suit import LinkFaults
 from devices.link import Framing
 
 DRIP = FaultPlan.model_validate(

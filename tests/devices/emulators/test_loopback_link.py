@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from devices.emulators.loopback_link import loopback_pair
+from devices.emulators.transports.memory import loopback_pair
 from devices.link import Chunk, Framing, LinkError
 
 

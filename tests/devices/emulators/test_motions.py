@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import emulated_body
-from devices.emulators.motions import (
+from devices.emulators.motion.motions import (
     MOTIONS,
     generic_motion,
     peak_rates,
@@ -15,7 +15,7 @@ from devices.emulators.motions import (
     robot_arm_motion,
     walking_motion,
 )
-from devices.emulators.waves import Fade, waves
+from devices.emulators.motion.waves import Fade, waves
 
 MOVING = np.array([2.3, 2.9, 3.4, 5.0, 8.17, 20.3])
 STEP = 1e-4

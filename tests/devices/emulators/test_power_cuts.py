@@ -6,8 +6,8 @@ import itertools
 
 import pytest
 
+from devices.emulators.device.emulated_flash import Moment, PowerCut
 from devices.emulators.imperfections import Imperfections
-from devices.emulators.power_cut import Moment, PowerCut
 from firmware_protocol import DeviceInfo, Event, Health, InertialSample
 from firmware_protocol.commands import Result, Verb
 

@@ -4,9 +4,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import EmulatedLocalDevice, emulated_body
-from devices.emulators.ideal_sensors import AIR_VELOCITY, VELOCITY, measure_point
-from devices.emulators.local_sampler import AIR_DENSITY
-from devices.emulators.motions import generic_motion
+from devices.emulators.motion.motions import generic_motion
+from devices.emulators.sensing.ideal_sensors import AIR_VELOCITY, VELOCITY, measure_point
+from devices.emulators.sensing.local_sampler import AIR_DENSITY
 from devices.emulators.suit_traffic import SuitTraffic
 from firmware_protocol import FrameDecoder, PacketDecoder, PressureSample
 

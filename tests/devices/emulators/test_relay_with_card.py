@@ -8,7 +8,7 @@ from zlib import crc32
 
 import pytest
 
-from devices.emulators.emulated_card import EmulatedCard
+from devices.emulators.device.emulated_card import EmulatedCard
 from devices.emulators.imperfections import Imperfections
 from firmware_protocol import (
     BROADCAST,

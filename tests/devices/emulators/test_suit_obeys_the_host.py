@@ -10,8 +10,7 @@ import pytest
 
 from devices.emulators.delivery import Encoding
 from devices.emulators.emulated_suit import EmulatedSuit
-from devices.emulators.loopback_link import loopback_pair
-from devices.emulators.motions import robot_arm_motion
+from devices.emulators.motion.motions import robot_arm_motion
 from devices.emulators.suit_settings import SuitSettings
 from devices.emulators.suit_traffic import SuitTraffic
 from devices.emulators.transports import (
@@ -22,6 +21,7 @@ from devices.emulators.transports import (
     SlcanTransport,
     TcpTransport,
 )
+from devices.emulators.transports.memory import loopback_pair
 from devices.endpoints import link_from_url
 from devices.link import Framing, gateway_time_ns
 from firmware_protocol import (

@@ -10,14 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.delivery import Encoding, Transmission
-from devices.emulators.emulated_relay import EmulatedRelay
-from devices.emulators.ideal_sensors import GRAVITY, MAGNETIC_FIELD, sense
+from devices.emulators.device.relay_device import EmulatedRelay
+from devices.emulators.device.sender import Sender, Timed
 from devices.emulators.imperfections import IDEAL, ROUGH, TYPICAL, Imperfections, ModuleClock
-from devices.emulators.motions import robot_arm_motion, walking_motion
-from devices.emulators.sample_encoding import SENSORS, SampleEncoder
-from devices.emulators.sender import Sender, Timed
+from devices.emulators.motion.motions import robot_arm_motion, walking_motion
+from devices.emulators.motion.waves import Fade
+from devices.emulators.sensing.ideal_sensors import GRAVITY, MAGNETIC_FIELD, sense
+from devices.emulators.sensing.sample_encoding import SENSORS, SampleEncoder
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
-from devices.emulators.waves import Fade
 from devices.link import Framing
 from firmware_protocol import (
     RELAY,

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.link import Chunk
-from devices.marker_file_link import trial_chunks
+from devices.links.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial, read_markers
 from devices.marker_files.c3d_parameters import DEC, INTEL, MIPS, floats
 from devices.marker_messages import MarkerReceiver, encode_markers

@@ -13,9 +13,9 @@ from pydantic import ValidationError
 from devices.emulators.recordings import play
 from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
 from devices.vendor_formats.gaps import index_of_times, rate_of
-from devices.vendor_formats.labels import labels_of
 from devices.vendor_formats.mvnx import read_mvnx
 from devices.vendor_formats.sheets import FormatError
+from devices.vendor_formats.tracks import labels_of
 from firmware_protocol import FrameDecoder, InertialSampleFine, PacketDecoder
 from gateway.imports.formats import ReadOptions, detected
 

@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from devices.emulators import makers_campaign
-from devices.emulators.makers_campaign import LANGUAGES, Language, run
+from devices.emulators.faults import makers_campaign
+from devices.emulators.faults.makers_campaign import LANGUAGES, Language, run
 from devices.vendor_protocols.ximu3 import Ximu3Decoder
 
 N_DAMAGED = 60_000 if os.environ.get("CI") else 6_000

@@ -12,7 +12,7 @@ import pytest
 from firmware_protocol import Acknowledgement, Command, decode_body, encode_packet
 from firmware_protocol.c.spelling import macro_name
 from firmware_protocol.commands import ANSWER_MEMORY, VERBS, Result, Verb, decode_payload, encode_arguments
-from firmware_protocol.versions import SUPPORTED, negotiate
+from firmware_protocol.framing import SUPPORTED, negotiate
 
 HERE = Path(__file__).parent
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")

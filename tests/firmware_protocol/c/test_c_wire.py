@@ -24,8 +24,7 @@ from firmware_protocol import (
     relay_batch,
     unpack_can_records,
 )
-from firmware_protocol.can_framing import MAX_CAN_BODY_SIZE, MAX_CLASSIC_BODY_SIZE
-from firmware_protocol.can_records import CanFrame
+from firmware_protocol.can_framing import MAX_CAN_BODY_SIZE, MAX_CLASSIC_BODY_SIZE, CanFrame
 from firmware_protocol.fields import INTEGER_RANGE, WireField, layout_of
 from firmware_protocol.golden import VECTORS
 from firmware_protocol.packets import PACKETS

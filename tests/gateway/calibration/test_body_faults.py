@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from devices.calibration_script import PERIOD_S, timetable
 from devices.emulators.bodies import emulated_body
-from devices.emulators.calibrating import WearerFaults, calibration_motion, strapped_on
-from devices.emulators.ideal_sensors import sense
+from devices.emulators.motion.calibrating import WearerFaults, calibration_motion, strapped_on
+from devices.emulators.sensing.ideal_sensors import sense
 from gateway.body.rig import load_rig
 from gateway.calibration.body_session import BodySession
 from gateway.emulation.rig import dress

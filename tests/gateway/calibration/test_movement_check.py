@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from devices.calibration_script import timetable
-from devices.emulators.calibrating import calibration_motion
+from devices.emulators.motion.calibrating import calibration_motion
 from gateway.body.rig import load_rig
 from gateway.calibration.movement_check import MOVEMENTS, MovementCheck, Verdict
 from gateway.emulation.rig import dress

@@ -7,13 +7,12 @@ from scipy.spatial.transform import Rotation
 
 from devices.calibration import SensorCalibration
 from devices.emulators.imperfections import UNCALIBRATED, draw_errors, module_random
-from devices.emulators.kinematics_truth import MotionState
-from devices.emulators.suit_devices import ERRORS
+from devices.emulators.motion.kinematics_truth import MotionState
+from devices.emulators.motion.tumbling import TumblingMotion
+from devices.emulators.suit_settings import ERRORS
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
-from devices.emulators.tumbling import TumblingMotion
 from devices.link import Chunk, Framing
 from firmware_protocol.device_settings import factory_settings
-from gateway.body.corrections import SensorCorrections
 from gateway.body.rig import load_rig
 from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.calibration.sensor_session import SensorSession, combined
@@ -30,6 +29,7 @@ from gateway.frames import (
 from gateway.pipeline import Pipeline
 from gateway.sources.suit import SuitSource
 from gateway.stages.frame_assembler import AssemblyParams
+from gateway.stages.modules import SensorCorrections
 from gateway.support.settings_files import find_file
 
 SEED = 4

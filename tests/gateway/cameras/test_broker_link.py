@@ -4,7 +4,7 @@ import pytest
 
 from devices.endpoints import EndpointError
 from devices.link import LinkError
-from devices.tcp_link import TcpLink
+from devices.links.tcp_link import TcpLink
 from gateway.cameras.broker_link import BrokerLink, link_of
 from gateway.outputs.settings import MqttSettings
 from gateway.sources.link_settings import LinkSettings

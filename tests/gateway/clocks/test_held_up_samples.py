@@ -67,12 +67,12 @@ def test_the_most_likely_line_is_found_however_far_the_packets_are_from_it(seed)
     P = np.diag([10 ** rng.uniform(2, 6), 10 ** rng.uniform(1, 3.4)]) ** 2
     A, weight, corner = np.linalg.inv(P), np.full(n, 0.5), 10.0
     c = x[0] + min(0.0, (d - x[0] - x[1] * t).min())
-    arguments = (t, d, weight, mean_us, 40.0, corner)
-    found, _ = floor_filter._most_likely(x, A, t, d, weight, c, x[1], mean_us, 40.0, corner)
+    prior, packets = floor_filter.Prior(x, A), floor_filter.Packets(t, d, weight, mean_us, 40.0, corner)
+    found, _ = floor_filter._most_likely(c, x[1], prior, packets)
 
     def loss(step):
         state = found + step * np.array([mean_us, 1000.0]) / n
-        return -floor_filter._log_posterior(*state, x, A, *arguments)
+        return -floor_filter._log_posterior(*state, prior, packets)
 
     best = minimize(loss, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-6})
     assert loss(np.zeros(2)) - best.fun < 0.05

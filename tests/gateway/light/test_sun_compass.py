@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from devices.emulators.light_sampler import LightSampler, Shade, Sunlight
+from devices.emulators.sensing.light_sampler import LightSampler, Shade, Sunlight
 from gateway.body.rig import load_rig
 from gateway.frames import ImuFrame, LightReading
 from gateway.geometry import rotation_matrix

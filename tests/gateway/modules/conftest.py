@@ -7,7 +7,7 @@ import contextlib
 
 import pytest
 
-from devices.command_client import CommandClient
+from devices.commands.command_client import CommandClient
 from gateway.body.rig import load_rig
 from gateway.modules.journal import Journal
 from gateway.modules.operations import ModuleOperations
@@ -19,7 +19,7 @@ from gateway.sources.suit import SuitSource
 def operated(commanded_suit, tmp_path, monkeypatch):
     """``async with operated(stored_ids=...) as (suit, operations, journal)``."""
     # A few modules without a relay answer within 10 ms, unless the machine is busy.
-    monkeypatch.setattr("devices.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
+    monkeypatch.setattr("devices.commands.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
 
     @contextlib.asynccontextmanager
     async def start(allow_writes=True, **settings):

@@ -7,8 +7,13 @@ import os
 
 import pytest
 
-from devices.device_errors import CommandRefusedError, DeviceError, UnfinishedError, WritesLockedError
-from devices.emulators.power_cut import PowerCut
+from devices.commands.device_errors import (
+    CommandRefusedError,
+    DeviceError,
+    UnfinishedError,
+    WritesLockedError,
+)
+from devices.emulators.device.emulated_flash import PowerCut
 from firmware_protocol.commands import Verb
 from gateway.modules.journal import JournalError
 from gateway.modules.operations import RequestError

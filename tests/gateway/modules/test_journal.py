@@ -9,7 +9,7 @@ import os
 
 import pytest
 
-from devices.configure import Change
+from devices.commands.configure import Change
 from gateway.modules import journal as journal_module
 from gateway.modules.journal import Journal, JournalError
 

@@ -9,9 +9,9 @@ import re
 import pytest
 from rich.console import Console
 
+from devices.commands.roster import Roster
 from devices.emulators import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
-from devices.roster import Roster
 from firmware_protocol import RELAY
 from gateway.body.rig import load_rig
 from gateway.cli.modules_suit import WIDEST, modules_screen

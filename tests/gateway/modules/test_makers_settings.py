@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from devices.device_errors import DeviceError, NoAnswerError, UnfinishedError
-from devices.emulators.mti_emulator import MtiEmulator
-from devices.emulators.witmotion_emulator import WitMotionCanEmulator, WitMotionEmulator
-from devices.emulators.ximu3_emulator import Ximu3Emulator
+from devices.commands.device_errors import DeviceError, NoAnswerError, UnfinishedError
+from devices.emulators.makers.mti import MtiEmulator
+from devices.emulators.makers.witmotion import WitMotionCanEmulator, WitMotionEmulator
+from devices.emulators.makers.ximu3 import Ximu3Emulator
 from devices.link import Chunk
 from devices.vendor_protocols.mti import MtiDecoder
 from devices.vendor_protocols.witmotion import IDENTIFIER, WitMotionCanDecoder, WitMotionDecoder

@@ -10,10 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from devices.emulators.ideal_sensors import sense
-from devices.emulators.kinematics_truth import MotionState
-from devices.emulators.motions import BodyMotion
-from devices.emulators.waves import Fade, Waves
+from devices.emulators.motion.kinematics_truth import MotionState
+from devices.emulators.motion.motions import BodyMotion
+from devices.emulators.motion.waves import Fade, Waves
+from devices.emulators.sensing.ideal_sensors import sense
 from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.emulation.rig import dress
 from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity

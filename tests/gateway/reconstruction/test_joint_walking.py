@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devices.emulators.gait import WALK
-from devices.emulators.ideal_sensors import sense
-from devices.emulators.motions import gait_motion
+from devices.emulators.motion.gait import WALK
+from devices.emulators.motion.motions import gait_motion
+from devices.emulators.sensing.ideal_sensors import sense
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress
 from gateway.emulation.simulation import measure_walk

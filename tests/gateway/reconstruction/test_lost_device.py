@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devices.emulators.ideal_sensors import POSITION, VELOCITY, measure_point
-from devices.emulators.motions import generic_motion
+from devices.emulators.motion.motions import generic_motion
+from devices.emulators.sensing.ideal_sensors import POSITION, VELOCITY, measure_point
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import LocalDevice
 from gateway.emulation.rig import dress

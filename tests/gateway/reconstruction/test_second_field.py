@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devices.emulators.motions import robot_arm_motion
+from devices.emulators.motion.motions import robot_arm_motion
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress
 from gateway.emulation.simulation import ideal_frames

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devices.emulators.gait import RUN, WALK
-from devices.emulators.ideal_sensors import sense
-from devices.emulators.motions import gait_motion, generic_motion
+from devices.emulators.motion.gait import RUN, WALK
+from devices.emulators.motion.motions import gait_motion, generic_motion
+from devices.emulators.sensing.ideal_sensors import sense
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress
 from gateway.frames import Clipped, ImuFrame, Quantity, SkeletonFrame, Status

@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 from devices.marker_files import MarkerTrial
 from devices.recording_file import RecordingError
 from gateway.body.body_file import WorldSettings, load_body, worn_without_modules
-from gateway.body.markers import BodyMarkers
-from gateway.body.skeleton import WornSuit
+from gateway.body.skeleton import BodyMarkers, WornSuit
 from gateway.cli.optical import optical_app
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, Status

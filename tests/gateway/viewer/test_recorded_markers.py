@@ -10,7 +10,7 @@ import pytest
 
 from devices.marker_files import MarkerTrial
 from gateway.body.body_file import WorldSettings, load_body, worn_without_modules
-from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import BodyMarkers
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
 from gateway.recording import open_recording

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gateway.body.body_file import load_body
-from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import BodyMarkers
 from gateway.emulation.optical_truth import cut_gaps
 from gateway.frames import FloatArray, MarkerFrame, Status
 from gateway.geometry import quaternion

@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.marker_file_link import trial_chunks
+from devices.links.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.body_file import load_body
-from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_rig
-from gateway.body.skeleton import Skeleton
+from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.body.subject_file import subject_content, write_subject
 from gateway.errors import GatewayError, SettingsError
 from gateway.frames import FloatArray, MarkerFrame, Status

@@ -14,7 +14,7 @@ from devices.marker_files import MarkerTrial, read_markers
 from devices.marker_files.naming import plain, spellings, spelt, without_prefixes
 from devices.vendor_formats.sheets import FormatError
 from gateway.body.body_file import WorldSettings, load_body, worn_without_modules
-from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import BodyMarkers
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitted_body import uneven_sides
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.emulators.motions import BodyMotion
+from devices.emulators.motion.motions import BodyMotion
 from devices.marker_files import read_markers
 from gateway.agreement import tracks_of
 from gateway.body.rig import load_rig

@@ -16,7 +16,7 @@ from gateway.body.joint_angles import posture
 from gateway.frames import FloatArray
 from gateway.recording import SkeletonArrays
 from gateway.recording.exporters.formats import FORMATS, Axes
-from gateway.recording.exporters.opensim_angles import pelvis_origin
+from gateway.recording.exporters.opensim import pelvis_origin
 from gateway.recording.exporters.take import Take, rotation, take_of
 
 FRAMES = 12
