@@ -167,7 +167,7 @@ class Smoother:
             clipped=seen.clipped,
             sights=stacked_sights(clean),
             stood_s=stood_s,
-            step_s=prepared.dt,
+            step_s=prepared.segments.dt,
             readings=np.array(
                 [(t, r.device, r.time_ns, r.quantity, r.value, r.sigma) for t, r in readings], _READING
             ),

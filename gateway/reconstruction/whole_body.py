@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gateway.body.interpolation import following_rules
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, ImuFrame, IntArray, Quantity, SkeletonFrame, Status, StatusArray
+from gateway.frames import FloatArray, ImuFrame, IntArray, Quantity, SkeletonFrame, Status
 from gateway.geometry.compiled import for_types_of
 from gateway.geometry.records import Records, records
 from gateway.reconstruction.inertial.contacts import (
@@ -56,9 +56,11 @@ from gateway.reconstruction.whole_body_frames import (
     NEVER_NS,
     After,
     Before,
+    SegmentFrames,
     finish_frames,
     observe_frames,
     prepare_frames,
+    segment_room,
 )
 
 _STUCK_FIELD = (
@@ -96,14 +98,13 @@ class Prepared(NamedTuple):
     """Without modules and magnetometers that are stuck."""
     frames: StackedFrames
     """The same, in arrays."""
-    specific_force: FloatArray
-    """(T, n, 3) by segment, segment axes, m/s²."""
-    clipped: StatusArray
-    """(T, n) by segment, ``Clipped`` sensors."""
-    stood_s: FloatArray
-    """(T, n) for how long each segment stands still, s; 0: it does not."""
-    dt: FloatArray
-    """(T,) s since the frame before."""
+    segments: SegmentFrames
+    """What was found of the segments themselves."""
+
+    @property
+    def stood_s(self) -> FloatArray:
+        """(T, n) for how long each segment stands still, s; 0: it does not."""
+        return self.segments.stood_s
 
 
 class _Memory(NamedTuple):
@@ -138,7 +139,7 @@ class WholeBodyReconstructor:
         self._joints, self._worn = joints_of(suit), worn_of(suit)
         self._places, self._walks = _ground(suit, root or RootSettings())
         self._prepare_frames: Callable[..., bool] = prepare_frames
-        self._finish_one: Callable[..., int] = finish_frames
+        self._finish_frames: Callable[..., int] = finish_frames
         self.reset()
         self._compile()
         self.reset()
@@ -156,9 +157,7 @@ class WholeBodyReconstructor:
             initial_agreement(n),
             initial_mounting(n),
         )
-        self._before = self._before_finder()
-        self._arrays_before: Any = self._before.arrays()
-        self._arrays_after: Any = self._after_finder().arrays()
+        self._before, self._after = self._before_finder(), self._after_finder()
 
     def _before_finder(self) -> Before:
         suit, n = self._suit, self._suit.skeleton.n_segments
@@ -226,24 +225,21 @@ class WholeBodyReconstructor:
         Stuck modules and magnetometers are left out, and it is found how long each segment has been standing
         still.
         """
-        frames, n = stacked(observations), self._suit.skeleton.n_segments
-        force, clipped, stood_s, dt = _room(len(observations), n)
-        if self._prepare_frames(*frames, force, clipped, stood_s, dt, *self._arrays_before):
+        frames = stacked(observations)
+        segments = segment_room(len(observations), self._suit.skeleton.n_segments)
+        if self._prepare_frames(frames, segments, self._before):
             observations = unstacked(observations, frames)
-        return Prepared(observations, frames, force, clipped, stood_s, dt)
+        return Prepared(observations, frames, segments)
 
     def prepared_again(
         self, observations: Sequence[ImuFrame], stood_s: FloatArray, dt: FloatArray
     ) -> Prepared:
         """Return what ``prepare`` made of instants once, from its own ``observations`` and arrays."""
         frames = stacked(observations)
-        force, clipped, *_ = _room(len(observations), self._suit.skeleton.n_segments)
-        before = self._before
-        observe_frames(
-            before.module_of_segment, before.R_bs, frames.specific_force, frames.status, frames.clipped,
-            force, clipped,
-        )  # fmt: skip
-        return Prepared(observations, frames, force, clipped, stood_s, dt)
+        segments = segment_room(len(observations), self._suit.skeleton.n_segments)
+        segments.stood_s[...], segments.dt[...] = stood_s, dt
+        observe_frames(frames, segments, self._before)
+        return Prepared(observations, frames, segments)
 
     def _found(self, prepared: Prepared) -> Poses:
         finder, stood_s = self.finder, prepared.stood_s
@@ -261,18 +257,12 @@ class WholeBodyReconstructor:
         Segments without a module are filled in, modules worn otherwise are marked, the body is placed in the
         world.
         """
-        first, is_judged, n_frames = 0, False, len(poses.root)
-        finish = self._finish_one if n_frames == 1 else finish_frames  # many may be a part, or backward
-        while True:
-            first = finish(
-                first, is_judged, poses.q_wb, poses.angular_rate, poses.p_w, poses.sigma, poses.status,
-                poses.root, prepared.specific_force, prepared.clipped, prepared.stood_s, prepared.dt,
-                *self._arrays_after,
-            )  # fmt: skip
-            if first == n_frames:
-                return poses.frames()
-            memory, is_judged = self._memory, True
+        arrays, memory, n_frames = poses.arrays(), self._memory, len(poses.root)
+        first = self._finish_frames(0, 0, arrays, prepared.segments, self._after)
+        while first < n_frames:
             judge_mounting(self._joints, memory.agreement, self._worn, memory.mounting)
+            first = self._finish_frames(first, first + 1, arrays, prepared.segments, self._after)
+        return poses.frames()
 
     def certainty(self) -> dict[str, dict[str, float | str | None]]:
         """Return how sure each segment's tilt and heading are, and what shows the heading.
@@ -367,12 +357,10 @@ class WholeBodyReconstructor:
         for k in range(2):
             frame = ImuFrame(k, k * 10_000_000, ones, 0.1 * ones, ones, none.astype(np.uint8), none)
             self.update(frame)
-        room, pose = _room(1, self._suit.skeleton.n_segments), stacked_poses((self._last,))
-        self._prepare_frames = for_types_of(prepare_frames, *stacked((frame,)), *room, *self._arrays_before)
-        self._finish_one = for_types_of(
-            finish_frames, 0, False, pose.q_wb, pose.angular_rate, pose.p_w, pose.sigma, pose.status,
-            pose.root, *room, *self._arrays_after,
-        )  # fmt: skip
+        room = segment_room(1, self._suit.skeleton.n_segments)
+        self._prepare_frames = for_types_of(prepare_frames, stacked((frame,)), room, self._before)
+        pose = stacked_poses((self._last,)).arrays()
+        self._finish_frames = for_types_of(finish_frames, 0, 0, pose, room, self._after)
 
 
 def no_pose(n: int) -> SkeletonFrame:
@@ -411,12 +399,6 @@ class _Resumable(Protocol):
 
 def _in_words(segment: str) -> str:
     return segment.replace("_", " ")
-
-
-def _room(n_frames: int, n: int) -> tuple[FloatArray, StatusArray, FloatArray, FloatArray]:
-    """Return arrays for what ``prepare_frames`` writes of n segments."""
-    clipped = np.empty((n_frames, n), np.uint8)
-    return np.empty((n_frames, n, 3)), clipped, np.empty((n_frames, n)), np.empty(n_frames)
 
 
 def _ground(suit: WornSuit, root: RootSettings) -> tuple[Records[ContactPlace], Records[Walk]]:
