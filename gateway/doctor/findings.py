@@ -10,6 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from devices.serial_ports import BY_ID
+from gateway.support.whole_files import free_bytes
 
 
 class Verdict(StrEnum):
@@ -54,11 +55,6 @@ def describe_interface(interface: str) -> str | None:
     command = [program, "-details", "-statistics", "-json", "link", "show", "dev", interface]
     done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
     return done.stdout if done.returncode == 0 else None
-
-
-def free_bytes(folder: Path) -> int:
-    """Return the room on the disk that a folder is on. Raises ``OSError``."""
-    return shutil.disk_usage(folder).free
 
 
 @dataclass(frozen=True)
