@@ -34,7 +34,7 @@ from firmware_protocol.can_framing import (
     pack_can_records,
     unpack_can_records,
 )
-from firmware_protocol.can_transfer import Outcome, TransferParams, TransferPiece, TransferSender
+from firmware_protocol.can_transfer import TransferParams, TransferPiece, TransferSender, TransferState
 from firmware_protocol.can_transfer_receiver import TransferReceiver
 from firmware_protocol.commands import (
     VERBS,
@@ -149,7 +149,6 @@ __all__ = [
     "LightSample",
     "LocalMeasurement",
     "LogLine",
-    "Outcome",
     "Packet",
     "PacketDecoder",
     "PassThrough",
@@ -166,6 +165,7 @@ __all__ = [
     "TransferPiece",
     "TransferReceiver",
     "TransferSender",
+    "TransferState",
     "TransferToHost",
     "TransferToModule",
     "Vector3",

@@ -47,7 +47,7 @@ INPUT_EVENTS = frozenset({RESET_EVENT, CALIBRATED_EVENT, LOAD_EVENT})
 """Events that are inputs: a recording must hand them over again in their place."""
 
 
-class Worn(NamedTuple):
+class PreparedSuit(NamedTuple):
     """A suit that is worn otherwise, with what reconstructs it."""
 
     suit: WornSuit
@@ -224,13 +224,15 @@ class Pipeline:
         self.skeleton_frames += len(poses)
         return [self.resets.apply(pose) for pose in poses]
 
-    def event(self, name: str, data: Mapping[str, Any], worn: Worn | None = None) -> dict[str, object]:
+    def event(
+        self, name: str, data: Mapping[str, Any], prepared: PreparedSuit | None = None
+    ) -> dict[str, object]:
         """Apply something asked of the gateway that changes what follows; other events pass without effect.
 
         ``reset`` (kind, facing), ``calibrated`` (see ``mounting_event``) and ``load`` (solve_every: of the
-        frames, how many are reconstructed). worn: what ``prepare`` made of a calibration; None: it is made
-        here. Returns what came of it; raises ``GatewayError`` where that cannot be done, and then has changed
-        nothing.
+        frames, how many are reconstructed). prepared: what ``prepare`` made of a calibration; None: it is
+        made here. Returns what came of it; raises ``GatewayError`` where that cannot be done, and then has
+        changed nothing.
         """
         try:
             if name == RESET_EVENT:
@@ -238,7 +240,7 @@ class Pipeline:
             if name == LOAD_EVENT:
                 self.module_stage.solve_every = max(int(data["solve_every"]), 1)
             elif name == CALIBRATED_EVENT:
-                self._wear(self.prepare(data) if worn is None else worn)
+                self._wear(self.prepare(data) if prepared is None else prepared)
         except (
             KeyError,
             TypeError,
@@ -248,17 +250,17 @@ class Pipeline:
             raise GatewayError(f"event '{name}' cannot be read: {error!r}") from error
         return {}
 
-    def prepare(self, data: Mapping[str, Any]) -> Worn:
+    def prepare(self, data: Mapping[str, Any]) -> PreparedSuit:
         """Make what a calibration needs, which takes a while, and change nothing: for another thread.
 
         data: of the event. Raises ``GatewayError`` for one of another body."""
         suit = remounted(self.suit, data)
-        return Worn(suit, self.module_stage.make(suit))
+        return PreparedSuit(suit, self.module_stage.make(suit))
 
-    def _wear(self, worn: Worn) -> None:
-        self.suit = worn.suit
-        self.module_stage.wear(*worn)
-        self.resets = Resets(worn.suit.skeleton)
+    def _wear(self, prepared: PreparedSuit) -> None:
+        self.suit = prepared.suit
+        self.module_stage.wear(*prepared)
+        self.resets = Resets(prepared.suit.skeleton)
 
     @property
     def _parts(self) -> list[Source | Stage[Any]]:

@@ -22,7 +22,7 @@ from gateway.calibration.body_solver import (
     Solution,
     solve_body,
 )
-from gateway.calibration.evidence import Readings, Span, field_heading, pose_of, readings_of
+from gateway.calibration.evidence import EvenSamples, Span, even_samples, field_heading, pose_of
 from gateway.calibration.joint_centres import JointEquations, joint_equations, side
 from gateway.calibration.procedure import Kind, Step, pose_rotation, procedure_for
 from gateway.errors import GatewayError, nearest
@@ -140,7 +140,7 @@ class BodySession:
     def result(self) -> BodyResult:
         """Return what the steps done so far give. Takes a second or two. Raises ``GatewayError``."""
         try:
-            readings = readings_of(list(self._frames), self.suit)
+            readings = even_samples(list(self._frames), self.suit)
             findings = [self._examine(readings, m) for m in range(len(self._segments))]
             solution = solve_body(self._problem(readings, findings))
         except ValueError as error:
@@ -158,7 +158,7 @@ class BodySession:
             chosen.append(names.index(segment))
         return tuple(chosen)
 
-    def _examine(self, readings: Readings, module: int) -> ModuleFindings:
+    def _examine(self, readings: EvenSamples, module: int) -> ModuleFindings:
         """Return all that one module did by itself."""
         segment = self.suit.skeleton.segment_names[self._segments[module]]
         found = ModuleFindings(segment, self.suit.module_ids[module])
@@ -184,7 +184,7 @@ class BodySession:
             found.earth_field = field_heading(readings, module, pose_spans, self.suit.magnetic_field, others)
         return found
 
-    def _problem(self, readings: Readings, findings: list[ModuleFindings]) -> Problem:
+    def _problem(self, readings: EvenSamples, findings: list[ModuleFindings]) -> Problem:
         skeleton = self.suit.skeleton
         neutral = quaternion.to_matrix(skeleton.neutral)
         poses, axes, fields = [], [], {}
@@ -233,7 +233,7 @@ class BodySession:
                 terms.append(AxisTerm(segment, movement.axis, sign, sigma))
         return terms
 
-    def _hinges(self, readings: Readings, known: set[int], joined: set[int]) -> list[AxisTerm]:
+    def _hinges(self, readings: EvenSamples, known: set[int], joined: set[int]) -> list[AxisTerm]:
         """Return the knees' axes in the free movement, for segments without an axis of another movement.
 
         A knee bends about -z, starting from standing.
@@ -263,7 +263,7 @@ class BodySession:
                 ]
         return terms
 
-    def _equations(self, readings: Readings, used: set[int]) -> Mapping[int, JointEquations]:
+    def _equations(self, readings: EvenSamples, used: set[int]) -> Mapping[int, JointEquations]:
         """Return the equations of all joints between two modules, from every step that was a movement."""
         found: dict[int, JointEquations] = {}
         moving = [step.name for step in self.steps if step.kind is not Kind.POSE]

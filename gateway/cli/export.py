@@ -25,7 +25,7 @@ from gateway.settings import check_method
 from gateway.support.extras import require_package
 
 if TYPE_CHECKING:
-    from gateway.batch.job import Job, Outcome
+    from gateway.batch.job import Job, JobResult
     from gateway.batch.manifest import Manifest
     from gateway.recording.exporters.take import Take
 
@@ -284,16 +284,16 @@ def batch(
 
 def _run_due(
     due: list[Job], manifest: Manifest, workers: int | None, dask: str | None, *, is_shown: bool
-) -> list[Outcome]:
+) -> list[JobResult]:
     """Run jobs with a progress bar, and close the manifest; return the outcomes, fewer after Ctrl-C."""
     from gateway.batch.running import run_jobs
 
-    outcomes: list[Outcome] = []
+    outcomes: list[JobResult] = []
     bar = progress_bar(f"{len(due)} recordings", is_shown=is_shown)
     with contextlib.suppress(KeyboardInterrupt), bar as progress:
         progress(0, len(due))
 
-        def done(job: Job, outcome: Outcome) -> None:
+        def done(job: Job, outcome: JobResult) -> None:
             # Into the manifest at once: what is finished stays finished, however the batch ends.
             manifest.add(job, outcome)
             outcomes.append(outcome)
@@ -304,7 +304,7 @@ def _run_due(
     return outcomes
 
 
-def _print_outcomes(outcomes: list[Outcome], skipped: int, results: Path, as_json: bool) -> None:
+def _print_outcomes(outcomes: list[JobResult], skipped: int, results: Path, as_json: bool) -> None:
     outcomes.sort(key=lambda outcome: outcome.name)
     failed = {outcome.name: outcome.error for outcome in outcomes if outcome.error}
     notes = {outcome.name: outcome.note for outcome in outcomes if outcome.note}

@@ -176,7 +176,7 @@ def _worn(body: EmulatedBody, how: str) -> EmulatedBody:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FaultEffect:
     """What a case did to some segments."""
 
     worst_deg: float
@@ -185,7 +185,7 @@ class Outcome:
     """From its end until the excess stays below a degree; NaN: it lasted to the end, or never did."""
 
 
-def outcome(run: Run, calm: Run, segments: list[int]) -> Outcome:
+def fault_effect(run: Run, calm: Run, segments: list[int]) -> FaultEffect:
     """Return the outcome over the segments; an undefined segment counts as no error, its status says so."""
     n = min(len(run.times_s), len(calm.times_s))
     at_calm = np.searchsorted(calm.times_s, run.times_s[:n] - 0.005).clip(0, len(calm.times_s) - 1)
@@ -194,11 +194,11 @@ def outcome(run: Run, calm: Run, segments: list[int]) -> Outcome:
     times, end_s = run.times_s[:n], run.case.ends_s
     after, worst = times >= end_s, float(excess[times >= run.case.begins_s].max())
     if not after.any():
-        return Outcome(worst, np.nan)
+        return FaultEffect(worst, np.nan)
     bad = times[after & (excess > RECOVERED_DEG)]
     is_over = not len(bad) or bad[-1] < times[-1] - 1.0
     recovery_s = (float(bad[-1] - end_s) if len(bad) else 0.0) if is_over else np.nan
-    return Outcome(worst, recovery_s)
+    return FaultEffect(worst, recovery_s)
 
 
 def reported_after_s(run: Run, segments: list[int]) -> float:

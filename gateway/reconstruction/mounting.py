@@ -58,12 +58,12 @@ UNKNOWN = math.pi
 NOBODY = -1
 
 
-class Worn(NamedTuple):
-    """How a suit is worn; constant."""
+class RigMounting(NamedTuple):
+    """How the rig says that modules are worn, and how else they may be; constant."""
 
     is_known: StatusArray  # (n,) whether the rig says where the module sits
     R_bs: FloatArray  # (n, 3, 3)
-    turns: FloatArray  # (23, 3, 3)
+    turns: FloatArray  # (23, 3, 3) the rotations of a box but the one that leaves it as it is
 
 
 class MountingState(NamedTuple):
@@ -77,11 +77,11 @@ class MountingState(NamedTuple):
     is_doubtful: StatusArray  # (n,)
 
 
-def worn_of(suit: WornSuit) -> Worn:
+def rig_mounting(suit: WornSuit) -> RigMounting:
     """Return what of a suit is needed to judge how its modules are worn."""
     arms = np.linalg.norm(np.asarray(suit.lever_arms, np.float64), axis=1)
     is_known = (suit.module_of_segment >= 0) & (arms > 0.0)
-    return Worn(is_known.astype(np.uint8), sensor_to_segment_matrices(suit), _turns())
+    return RigMounting(is_known.astype(np.uint8), sensor_to_segment_matrices(suit), _turns())
 
 
 def _turns() -> FloatArray:
@@ -135,19 +135,19 @@ class Measured(NamedTuple):
     pairs: Records[Products]
 
 
-def judge_mounting(joints: Joints, agreement: AgreementState, worn: Worn, state: MountingState) -> None:
+def judge_mounting(joints: Joints, agreement: AgreementState, rig: RigMounting, state: MountingState) -> None:
     """Judge anew how all modules are worn, ``JUDGED_EVERY_S`` after the last time."""
     state.since_s[0] = 0.0
     n = len(joints.sides)
     now = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1)))
-    asked = _asked(joints, agreement, worn, now)
+    asked = _asked(joints, agreement, rig, now)
     explained: set[int] = set()
     for i in np.flatnonzero(state.is_doubtful):  # what still holds is not looked for again: that costs most
         asked = _kept(joints, agreement, state, now, asked, explained, int(i))
-    while (found := _best(joints, agreement, worn, now, asked, explained)).gain >= GAIN:
-        rival = _best(joints, agreement, worn, now, asked, explained | {found.first, found.second})
+    while (found := _best(joints, agreement, rig, now, asked, explained)).gain >= GAIN:
+        rival = _best(joints, agreement, rig, now, asked, explained | {found.first, found.second})
         is_open = found.first == found.second and rival.gain > AS_GOOD * found.gain
-        _apply(worn, now, found)
+        _apply(rig, now, found)
         explained |= {found.first, found.second}
         for s in (found.first, found.second):
             state.rival[s] = rival.first if is_open else NOBODY
@@ -185,7 +185,7 @@ def _as_before(state: MountingState, now: Arrangement, s: int) -> Arrangement:
     return other
 
 
-def _asked(joints: Joints, agreement: AgreementState, worn: Worn, now: Arrangement) -> Asked:
+def _asked(joints: Joints, agreement: AgreementState, rig: RigMounting, now: Arrangement) -> Asked:
     """Return how the joints agree when all modules are worn as the rig says.
 
     The disagreement is found as that of every explanation: all that an explanation calls is compiled with the
@@ -193,7 +193,7 @@ def _asked(joints: Joints, agreement: AgreementState, worn: Worn, now: Arrangeme
     """
     _, _, power, swing = pairs_of(joints.sides, agreement.pairs).T
     turned = _differences(joints, agreement, now, np.arange(len(joints.sides)))[0]
-    is_known = (worn.is_known > 0) & (worn.is_known[joints.sides["parent"]] > 0)
+    is_known = (rig.is_known > 0) & (rig.is_known[joints.sides["parent"]] > 0)
     is_observable = (power >= LEAST_ACCELERATION**2) & is_known
     floor = ARM_OFF**2 * swing + TILT_OFF**2 * power + NOISE**2
     return Asked(np.where(is_observable, turned, np.nan), np.where(is_observable, floor, np.nan))
@@ -254,7 +254,7 @@ def _concerned(joints: Joints, asked: Asked, s: int, o: int) -> IntArray:
 def _best(
     joints: Joints,
     agreement: AgreementState,
-    worn: Worn,
+    rig: RigMounting,
     now: Arrangement,
     asked: Asked,
     explained: set[int],
@@ -267,16 +267,16 @@ def _best(
     largest = np.nan_to_num(0.5 * np.log1p(asked.difference / asked.floor))  # nepers, by joint
     if largest.sum() < GAIN:
         return best  # as in every suit that is worn right
-    is_free = worn.is_known > 0
+    is_free = rig.is_known > 0
     is_free[list(explained)] = False
     at_work = Arrangement(now.place.copy(), now.turn.copy())
     measured = Measured(joints.sides, agreement.pairs)
-    return Found(*_search(measured, at_work, worn, asked, largest, np.flatnonzero(is_free)))
+    return Found(*_search(measured, at_work, rig, asked, largest, np.flatnonzero(is_free)))
 
 
 @compiled
 def _search(
-    measured: Measured, now: Arrangement, worn: Worn, asked: Asked, largest: FloatArray, free: IntArray
+    measured: Measured, now: Arrangement, rig: RigMounting, asked: Asked, largest: FloatArray, free: IntArray
 ) -> tuple[float, int, int, int]:
     """Try all explanations of the segments ``free``; return the parts of a ``Found``.
 
@@ -295,11 +295,11 @@ def _search(
 
             turn_s, turn_o = turn[s].copy(), turn[o].copy()
             place[s], place[o] = place[o], place[s]
-            for h in range(len(worn.turns) if s == o else 1):
+            for h in range(len(rig.turns) if s == o else 1):
                 if s == o:
-                    turn[s] = worn.turns[h]
+                    turn[s] = rig.turns[h]
                 else:
-                    _exchange(turn, worn.R_bs, s, o)
+                    _exchange(turn, rig.R_bs, s, o)
                 total = 0.0
                 for j in range(len(sides)):
                     if _has_part(sides, asked.floor, j, s, o):
@@ -331,14 +331,14 @@ def _exchange(turn: FloatArray, R_bs: FloatArray, s: int, o: int) -> None:
                 turn[o, i, k] += R_bs[s, i, m] * R_bs[o, k, m]
 
 
-def _apply(worn: Worn, to: Arrangement, found: Found) -> None:
+def _apply(rig: RigMounting, to: Arrangement, found: Found) -> None:
     """Arrange segments as an explanation says, in place."""
     s, o = found.first, found.second
     if s == o:
-        to.turn[s] = worn.turns[found.turn]
+        to.turn[s] = rig.turns[found.turn]
         return
     to.place[s], to.place[o] = o, s
-    to.turn[s], to.turn[o] = worn.R_bs[o] @ worn.R_bs[s].T, worn.R_bs[s] @ worn.R_bs[o].T
+    to.turn[s], to.turn[o] = rig.R_bs[o] @ rig.R_bs[s].T, rig.R_bs[s] @ rig.R_bs[o].T
 
 
 def _gains(

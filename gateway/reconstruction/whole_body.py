@@ -41,7 +41,7 @@ from gateway.reconstruction.mounting import (
     MountingState,
     initial_mounting,
     judge_mounting,
-    worn_of,
+    rig_mounting,
 )
 from gateway.reconstruction.root_settings import NO_CONTACTS, RootMode, RootSettings
 from gateway.reconstruction.stacked_frames import (
@@ -136,7 +136,7 @@ class WholeBodyReconstructor:
         self._suit = suit
         self.finder = finder
         self._array_finder = finder if isinstance(finder, _ArrayFinder) else None
-        self._joints, self._worn = joints_of(suit), worn_of(suit)
+        self._joints, self._mounting = joints_of(suit), rig_mounting(suit)
         self._places, self._walks = _ground(suit, root or RootSettings())
         self._prepare_frames: Callable[..., bool] = prepare_frames
         self._finish_frames: Callable[..., int] = finish_frames
@@ -260,7 +260,7 @@ class WholeBodyReconstructor:
         arrays, memory, n_frames = poses.arrays(), self._memory, len(poses.root)
         first = self._finish_frames(0, 0, arrays, prepared.segments, self._after)
         while first < n_frames:
-            judge_mounting(self._joints, memory.agreement, self._worn, memory.mounting)
+            judge_mounting(self._joints, memory.agreement, self._mounting, memory.mounting)
             first = self._finish_frames(first, first + 1, arrays, prepared.segments, self._after)
         return poses.frames()
 

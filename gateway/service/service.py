@@ -40,7 +40,7 @@ from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder, in_turn
 from gateway.outputs.side_outputs import SideOutputs
-from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, Pipeline, Worn
+from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, Pipeline, PreparedSuit
 from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.recording.control import RecordingControl
 from gateway.recording.shelf import Shelf
@@ -469,12 +469,14 @@ class Service:
         self.recording.sent(sent)
         self.pipeline.sent(sent)
 
-    def _apply_event(self, name: str, data: Mapping[str, Any], worn: Worn | None = None) -> dict[str, object]:
+    def _apply_event(
+        self, name: str, data: Mapping[str, Any], prepared: PreparedSuit | None = None
+    ) -> dict[str, object]:
         """Apply a reset or a calibration, and record it as an input; return what changed.
 
         Raises ``GatewayError`` if the suit or the method does not allow it.
         """
-        changed = self.pipeline.event(name, data, worn)
+        changed = self.pipeline.event(name, data, prepared)
         # Recorded only once it was applied: a replay then meets no event that failed.
         self.recording.event(name, data)
         self.recording.worn(self.pipeline.suit)
@@ -485,8 +487,8 @@ class Service:
 
         Raises ``GatewayError``.
         """
-        worn = await asyncio.to_thread(self.pipeline.prepare, data)
-        self._apply_event(CALIBRATED_EVENT, data, worn)
+        prepared = await asyncio.to_thread(self.pipeline.prepare, data)
+        self._apply_event(CALIBRATED_EVENT, data, prepared)
 
     def _replay_event(self, event: InputEvent) -> None:
         """Apply an event of a recording that is played; ignore it where this suit or method cannot."""

@@ -16,7 +16,7 @@ from gateway.geometry.compiled import for_types_of
 from gateway.sources.can_kernels import decode_records
 from gateway.sources.module_rows import SHARED_KINDS
 from gateway.sources.module_table import ModuleTable
-from gateway.sources.readings import Readings
+from gateway.sources.readings import ReadingCollector
 from gateway.sources.wire_kernels import decode_stream, follow
 from gateway.sources.wire_layout import (
     CARRIED,
@@ -177,7 +177,7 @@ DECODERS: Mapping[Framing, type[CompiledDecoder]] = {
 class Follower:
     """Turns the samples among the packets of a chunk into rows of a batch, by kernels."""
 
-    def __init__(self, table: ModuleTable, readings: Readings) -> None:
+    def __init__(self, table: ModuleTable, readings: ReadingCollector) -> None:
         """Follow the clocks of ``table``, and put samples into ``readings``."""
         self._table = table
         self._readings = readings

@@ -17,7 +17,7 @@ from gateway.body.camera import Camera
 from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame
 from gateway.reconstruction.video.inverse_kinematics import VideoBodyPose
 from gateway.reconstruction.video.keypoint_set import KeypointSet
-from gateway.reconstruction.video.posing import SmoothedPoses, no_frame, skeleton_frame, statuses
+from gateway.reconstruction.video.posing import PoseSmoother, no_frame, skeleton_frame, statuses
 from gateway.reconstruction.video.tracker import KeypointTracker, Sighting, VideoOptions
 
 BRIDGED_WEIGHT = 0.2
@@ -51,7 +51,7 @@ def reconstruct_recorded(
     tracker.reset()
     backward = _run(tracker, frames, advanced, backwards=True)
     merged = _merged(forward, backward)
-    smoothed = SmoothedPoses()
+    smoothed = PoseSmoother()
     poses: list[SkeletonFrame] = []
     for f, sighting in enumerate(merged):
         tracker.pose = forward.poses[f] or backward.poses[f]

@@ -59,7 +59,7 @@ def statuses(shows: NDArray[np.bool_], lost: NDArray[np.bool_]) -> NDArray[np.ui
     return np.where(shown, Status.MEASURED, Status.PREDICTED).astype(np.uint8)
 
 
-class SmoothedPoses:
+class PoseSmoother:
     """Keypoints of the body through the low-pass, then inverse kinematics with uniform weights."""
 
     def __init__(self) -> None:

@@ -15,7 +15,7 @@ from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
 from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
 from gateway.reconstruction.video.networks.weights import keypoint_set_of
-from gateway.reconstruction.video.posing import SmoothedPoses, no_frame, skeleton_frame, statuses
+from gateway.reconstruction.video.posing import PoseSmoother, no_frame, skeleton_frame, statuses
 from gateway.reconstruction.video.region import PersonRegion, person_region
 from gateway.reconstruction.video.tracker import KeypointTracker, VideoOptions
 
@@ -76,7 +76,7 @@ class VideoReconstructor:
         self.tracker = KeypointTracker(cameras, keypoints, options or VideoOptions())
         self.sequence = -1
         """Of the last instant; -1: there was none."""
-        self._smoothed = SmoothedPoses()
+        self._smoothed = PoseSmoother()
         self._lost = np.zeros(len(keypoints.names), dtype=bool)
 
     def reset(self) -> None:

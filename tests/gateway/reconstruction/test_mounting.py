@@ -156,7 +156,7 @@ def test_no_false_alarm_on_a_real_pendulum(recording_set):
 )
 def test_the_best_explanation_is_that_of_trying_all_one_by_one(suit, walk, worn_wrong):
     reconstructor, _ = solved(worn_wrong(walk, suit)[:900], suit)
-    joints, worn, agreement = reconstructor._joints, reconstructor._worn, reconstructor._memory.agreement
+    joints, worn, agreement = reconstructor._joints, reconstructor._mounting, reconstructor._memory.agreement
     n = suit.skeleton.n_segments
     now = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1)))
     asked = mounting._asked(joints, agreement, worn, now)
