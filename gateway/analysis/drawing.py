@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.body_model import EXTRA
 from gateway.analysis.cycles import Stride
-from gateway.analysis.floor import Source
+from gateway.analysis.floor import ForceSource
 from gateway.analysis.muscles import MuscleResult
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
@@ -82,7 +82,7 @@ def draw(found: Analysis, muscles: MuscleResult | None, frame: int, scene: Scene
     _write(picture, f"{found.time_s[frame]:.2f} s", (10, 22), 0.5)
     for k, (side, colour) in enumerate(_SIDES.items()):
         _write(picture, _side_text(side, float(found.time_s[frame]), scene), (90 + 120 * k, 22), 0.45, colour)
-    for k, c in enumerate(np.flatnonzero(found.floor.source[frame] == Source.UNKNOWN).tolist()):
+    for k, c in enumerate(np.flatnonzero(found.floor.source[frame] == ForceSource.UNKNOWN).tolist()):
         name = found.skeleton.segment_names[int(found.floor.segments[c])].replace("_", " ")
         _write(picture, f"{name} stands on an unknown force", (10, 44 + 18 * k), 0.42)
     if muscles is not None:
@@ -95,7 +95,7 @@ def _legend(picture: Picture, found: Analysis) -> None:
     """What arrows and the dot are, at the bottom."""
     whose = "" if found.is_whole else " of the part that is there"
     words = [(f"dot: centre of mass{whose}", _MASS)]
-    for source, colour in ((Source.ESTIMATED, _ESTIMATED), (Source.MEASURED, _FORCE)):
+    for source, colour in ((ForceSource.ESTIMATED, _ESTIMATED), (ForceSource.MEASURED, _FORCE)):
         if (found.floor.source == source).any():
             words.insert(0, (f"floor's force, {source.name.lower()}", colour))
     x = 10
@@ -186,7 +186,7 @@ def _forces(view: _View, found: Analysis, frame: int) -> None:
     for c, at in enumerate(pressure):
         if np.isfinite(at).all():
             arrow = found.floor.force[frame, c] * _ARROW_M_PER_WEIGHT / found.weight_n
-            is_measured = found.floor.source[frame, c] == Source.MEASURED
+            is_measured = found.floor.source[frame, c] == ForceSource.MEASURED
             colour = _FORCE if is_measured else _ESTIMATED
             view.line(np.stack([at, at + arrow]), colour, 2)
             view.circle(at, 0.012, colour, -1)

@@ -23,7 +23,7 @@ _TOE_SPRING = 0.06
 """How much higher than the ball the toe's tip stands, of the foot's length."""
 
 
-class Source(IntEnum):
+class ForceSource(IntEnum):
     """Where a foot's force at an instant came from."""
 
     NONE = 0
@@ -56,7 +56,7 @@ class FloorForces:
         for c, foot in enumerate(self.segments.tolist()):
             segment = foot
             while segment >= 0:
-                known[:, segment] &= self.source[:, c] != Source.UNKNOWN
+                known[:, segment] &= self.source[:, c] != ForceSource.UNKNOWN
                 segment = int(skeleton.parents[segment])
         return known
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.analysis.floor import LEAST_FORCE_N, FloorForces, Source
+from gateway.analysis.floor import LEAST_FORCE_N, FloorForces, ForceSource
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 
@@ -35,10 +35,10 @@ def gait_events(skeleton: Skeleton, floor: FloorForces, time_s: FloatArray) -> l
     for c, segment in enumerate(floor.segments.tolist()):
         name = skeleton.segment_names[segment]
         for first, last in _stances(_loads(floor, c), time_s):
-            source = Source(int(floor.source[first, c])).name.lower()
+            source = ForceSource(int(floor.source[first, c])).name.lower()
             for frame, beside, event in ((first, first - 1, "strike"), (last, last + 1, "off")):
                 is_inside = 0 <= beside < len(time_s)
-                if is_inside and floor.source[beside, c] != Source.UNKNOWN:
+                if is_inside and floor.source[beside, c] != ForceSource.UNKNOWN:
                     found.append(GaitEvent(float(time_s[frame]), name, event, source))
     return sorted(found)
 
@@ -51,7 +51,7 @@ def _loads(floor: FloorForces, foot: int) -> NDArray[np.bool_]:
     """
     up_n = floor.force[:, foot, 2]
     least = np.full(len(up_n), LEAST_FORCE_N)
-    is_estimated = floor.source[:, foot] == Source.ESTIMATED
+    is_estimated = floor.source[:, foot] == ForceSource.ESTIMATED
     least[is_estimated] = max(LEAST_FORCE_N, _LEAST_SHARE * float(up_n.max(initial=0.0)))
     loaded: NDArray[np.bool_] = up_n > least
     return loaded

@@ -11,7 +11,7 @@ from devices.marker_files.force_plates import ForcePlate, ForcePlates
 from gateway.analysis.floor import (
     LEAST_FORCE_N,
     FloorForces,
-    Source,
+    ForceSource,
     feet,
     sole_paths,
     sole_points,
@@ -54,7 +54,7 @@ def measured_floor(
     frames = len(motion.time_s)
     samples = np.round((motion.time_s - plates.begins_s) * plates.rate_hz).astype(np.int64)
     force, moment = np.zeros((2, frames, len(on), 3))
-    source = np.full((frames, len(on)), Source.NONE, dtype=np.uint8)
+    source = np.full((frames, len(on)), ForceSource.NONE, dtype=np.uint8)
     heights = [to_world(plate.centre[None], vertical)[0, 2] for plate in plates.plates]
     height_m = np.full(source.shape, np.mean(heights))
     notes: list[str] = []
@@ -82,7 +82,7 @@ def measured_floor(
             else:
                 force[first:last, c] += smooth[0][first:last]
                 moment[first:last, c] += smooth[1][first:last]
-                source[begin:end, c] = Source.MEASURED
+                source[begin:end, c] = ForceSource.MEASURED
                 height_m[begin:end, c] = heights[number - 1]
                 own = to_world(plate.corners, vertical)
                 if not is_stair and _is_beside(paths[begin:end, carriers == on[c]], own):

@@ -91,7 +91,7 @@ def _near(grid: FloatArray, times: FloatArray, longest: float) -> BoolArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class HeldPose:
     """One module during one pose."""
 
     R_es: FloatArray
@@ -102,7 +102,7 @@ class Pose:
     """Standard deviation of the specific force, m/s²."""
 
 
-def pose_of(readings: EvenSamples, module: int, span: Span) -> Pose | None:
+def pose_of(readings: EvenSamples, module: int, span: Span) -> HeldPose | None:
     """Return None when the module was not heard."""
     if not readings.is_received(module, span):
         return None
@@ -111,7 +111,7 @@ def pose_of(readings: EvenSamples, module: int, span: Span) -> Pose | None:
     mean = rotations.mean()
     moved = (mean.inv() * rotations).magnitude()
     shaken = float(readings.specific_force[rows, module].std(axis=0).max())
-    return Pose(mean.as_matrix(), float(moved.max()), shaken)
+    return HeldPose(mean.as_matrix(), float(moved.max()), shaken)
 
 
 @dataclass(frozen=True, eq=False)

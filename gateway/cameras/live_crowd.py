@@ -35,7 +35,7 @@ from gateway.reconstruction.video.networks.weights import keypoint_set_of
 from gateway.reconstruction.video.reconstructor import VideoReconstructor, worn_person
 from gateway.reconstruction.video.region import peaks
 from gateway.reconstruction.video.tracker import KeypointTracker
-from gateway.sources.heat_maps import Instant, Instants, KnownCameras, heat_maps_of
+from gateway.sources.heat_maps import CameraInstant, CameraInstants, KnownCameras, heat_maps_of
 
 AHEAD = 2
 """Pictures from a pose to those that its orders are for: while the pose of one instant is found, the cameras
@@ -128,7 +128,7 @@ class LiveCrowd:
         self._leading = Leading(video.cameras, keypoints.names, video.pairs)
         self._tracked: list[_Tracked] = []  # in the order of the crowd's people
         self._receivers: dict[str, HeatMapReceiver] = {}
-        self._instants = Instants(len(video.cameras))
+        self._instants = CameraInstants(len(video.cameras))
         self._away = ReturningPeople()
         self._tracked_ever = 0
         self.counts = CrowdCounts()
@@ -162,7 +162,7 @@ class LiveCrowd:
         """Return what one instant of a film brings: of every camera all that it tells of one picture."""
         received = {row: HeatMapReceiver().receive(each) for row, each in enumerate(messages)}
         first = received[0][0]
-        return self._advanced(Instant(first.sequence, first.time_ns, received))
+        return self._advanced(CameraInstant(first.sequence, first.time_ns, received))
 
     def statistics(self) -> dict[str, object]:
         """Return counters for the health message."""
@@ -181,7 +181,7 @@ class LiveCrowd:
             "given_up": self.counts.given_up,
         }
 
-    def _advanced(self, instant: Instant) -> CrowdInstant:
+    def _advanced(self, instant: CameraInstant) -> CrowdInstant:
         expected = self._crowd.expected_after(1)
         masked = self._crowd.masked([self._frame_of(each, instant) for each in self._tracked])
         self._crowd.follow(masked)
@@ -227,7 +227,7 @@ class LiveCrowd:
                 seen += _likelihood_at(maps, project(camera, points)) >= _LEAST_SEEN
         return float((seen >= 2).mean()) >= _LEAST_SEEN
 
-    def _frame_of(self, tracked: _Tracked, instant: Instant) -> HeatMapFrame:
+    def _frame_of(self, tracked: _Tracked, instant: CameraInstant) -> HeatMapFrame:
         """Return the heat maps of every camera of a person, by the gateway's number, else by that under
         which it was found."""
         maps: list[CameraHeatMaps | None] = []
@@ -238,7 +238,7 @@ class LiveCrowd:
             )
         return HeatMapFrame(instant.sequence, instant.time_ns, tuple(maps))
 
-    def _encoded(self, frame: HeatMapFrame, instant: Instant) -> list[bytes]:
+    def _encoded(self, frame: HeatMapFrame, instant: CameraInstant) -> list[bytes]:
         """Return the messages of all cameras, those too that sent nothing, so that nobody waits for them."""
         time_ns = instant.messages[min(instant.messages)][0].time_ns
         messages = (
@@ -302,7 +302,7 @@ class LiveCrowd:
         self.counts.entered += 1
         return self.counts.entered, somebody.person
 
-    def _admit(self, instant: Instant) -> None:
+    def _admit(self, instant: CameraInstant) -> None:
         """Begin to track those whom several cameras have found, and nobody is known to be."""
         if len(self._tracked) >= self._most:
             return
@@ -322,7 +322,7 @@ class LiveCrowd:
             self._tracked.append(newcomer)
             self._crowd.enter()
 
-    def _found(self, row: int, instant: Instant) -> list[tuple[Person, int]]:
+    def _found(self, row: int, instant: CameraInstant) -> list[tuple[Person, int]]:
         """Whom a camera has found by itself and nobody is known to be, with its number for them."""
         known = {each.found.get(row) for each in self._tracked}
         numbers = {each.ordered_number for each in self._tracked}

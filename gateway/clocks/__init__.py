@@ -24,13 +24,12 @@ from gateway.clocks.table import ClockTable, clock_table, load_clock_table, save
 from gateway.clocks.table_calibration import ClockCalibration
 from gateway.clocks.table_clock import TableClock, TableClocks
 from gateway.clocks.trigger import Trigger, TriggerTimer
-from gateway.clocks.trigger_answers import Answer, TriggerAnswers
+from gateway.clocks.trigger_answers import TriggerAnswer, TriggerAnswers
 from gateway.clocks.utc_anchor import AnchorReading, AnchorWatch
 
 __all__ = [
     "AnchorReading",
     "AnchorWatch",
-    "Answer",
     "ArrivalClock",
     "ArrivalLine",
     "ClockCalibration",
@@ -51,6 +50,7 @@ __all__ = [
     "TableClock",
     "TableClocks",
     "Trigger",
+    "TriggerAnswer",
     "TriggerAnswers",
     "TriggerTimer",
     "clock_table",

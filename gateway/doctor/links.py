@@ -27,7 +27,7 @@ from gateway.modules.session import suit_session
 from gateway.modules.summary import ModuleList, ModuleSummary
 from gateway.reconstruction import FUSED
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.makers import ANOTHER_SENDER, Advice, OthersLinkSettings
+from gateway.sources.makers import ANOTHER_SENDER, OthersLinkSettings, SettingAdvice
 
 LONGEST_LATENCY_MS = 2
 _UDEV_RULE = "docker/udev/60-mocap-gateway.rules"
@@ -308,7 +308,7 @@ def _usable(links: Sequence[LinkSettings], makers: MakersModules, method: str) -
             yield good(subject, f"'{method}' takes what it sends")
 
 
-def _others_settings(advice: Sequence[tuple[str, Advice]]) -> Iterator[Finding]:
+def _others_settings(advice: Sequence[tuple[str, SettingAdvice]]) -> Iterator[Finding]:
     for link, each in advice:
         yield warning(f"{link}: settings", each.found, each.remedy)
 

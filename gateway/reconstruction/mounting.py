@@ -32,8 +32,8 @@ from gateway.reconstruction.joint_agreement import (
     LEAST_ACCELERATION,
     AgreementState,
     Joints,
+    JointSide,
     Products,
-    Side,
     is_common,
     pair,
     pairs_of,
@@ -128,10 +128,10 @@ class Asked(NamedTuple):
     floor: FloatArray  # (n,) what of it is no wonder
 
 
-class Measured(NamedTuple):
+class JointProducts(NamedTuple):
     """The joints and the sums of products of their modules."""
 
-    sides: Records[Side]
+    sides: Records[JointSide]
     pairs: Records[Products]
 
 
@@ -270,13 +270,18 @@ def _best(
     is_free = rig.is_known > 0
     is_free[list(explained)] = False
     at_work = Arrangement(now.place.copy(), now.turn.copy())
-    measured = Measured(joints.sides, agreement.pairs)
+    measured = JointProducts(joints.sides, agreement.pairs)
     return Found(*_search(measured, at_work, rig, asked, largest, np.flatnonzero(is_free)))
 
 
 @compiled
 def _search(
-    measured: Measured, now: Arrangement, rig: RigMounting, asked: Asked, largest: FloatArray, free: IntArray
+    measured: JointProducts,
+    now: Arrangement,
+    rig: RigMounting,
+    asked: Asked,
+    largest: FloatArray,
+    free: IntArray,
 ) -> tuple[float, int, int, int]:
     """Try all explanations of the segments ``free``; return the parts of a ``Found``.
 
@@ -315,7 +320,7 @@ def _search(
 
 
 @compiled
-def _has_part(sides: Records[Side], floor: FloatArray, j: int, s: int, o: int) -> bool:
+def _has_part(sides: Records[JointSide], floor: FloatArray, j: int, s: int, o: int) -> bool:
     """Return whether a joint can be judged and segment s or o is a part of it."""
     return math.isfinite(floor[j]) and (j in (s, o) or sides[j].parent in (s, o))
 
@@ -360,11 +365,11 @@ def _differences(
 ) -> FloatArray:
     """Return ``Pair.turned`` of joints, (H, k); NaN where the two modules have not sent together."""
     turn = now.turn.reshape(-1, *now.turn.shape[-3:])
-    return _arranged(Measured(joints.sides, agreement.pairs), now.place, turn, concerned)
+    return _arranged(JointProducts(joints.sides, agreement.pairs), now.place, turn, concerned)
 
 
 @compiled
-def _arranged(measured: Measured, place: IntArray, turn: FloatArray, concerned: IntArray) -> FloatArray:
+def _arranged(measured: JointProducts, place: IntArray, turn: FloatArray, concerned: IntArray) -> FloatArray:
     found = np.empty((len(turn), len(concerned)))
     for h in range(len(turn)):
         for c in range(len(concerned)):
@@ -373,7 +378,7 @@ def _arranged(measured: Measured, place: IntArray, turn: FloatArray, concerned: 
 
 
 @compiled
-def _difference(measured: Measured, place: IntArray, turn: FloatArray, j: int) -> float:
+def _difference(measured: JointProducts, place: IntArray, turn: FloatArray, j: int) -> float:
     """Return ``Pair.turned`` of a joint; NaN where the two modules have not sent together."""
     side, p = measured.sides[j], measured.sides[j].parent
     if not is_common(measured.pairs, place[j], place[p]):

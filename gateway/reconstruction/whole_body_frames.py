@@ -24,7 +24,7 @@ from gateway.reconstruction.inertial.contacts import (
     watch_stance,
 )
 from gateway.reconstruction.inertial.observations import SegmentObservations, by_segment_into
-from gateway.reconstruction.joint_agreement import AgreementState, Joints, Pose, watch_joints
+from gateway.reconstruction.joint_agreement import AgreementState, FramePose, Joints, watch_joints
 from gateway.reconstruction.module_faults import RepeatState, watch_repeats
 from gateway.reconstruction.mounting import JUDGED_EVERY_S, UNKNOWN
 from gateway.reconstruction.stacked_frames import PoseArrays, StackedFrames
@@ -167,7 +167,7 @@ def finish_frames(first: int, watched: int, poses: PoseArrays, segments: Segment
         force, dt = segments.specific_force[t], segments.dt[t]
         if t >= watched:
             _mark_clipped(status, segments.clipped[t])
-            watch_joints(after.joints, after.agreement, Pose(q_wb, force, rate, status), dt)
+            watch_joints(after.joints, after.agreement, FramePose(q_wb, force, rate, status), dt)
             after.judged[0] += dt
             if after.judged[0] >= JUDGED_EVERY_S:
                 return t

@@ -40,7 +40,7 @@ class HeatMapSource(ListeningSource):
         assert suit.video is not None
         self._known = KnownCameras(suit.video)
         self._receivers: dict[str, HeatMapReceiver] = {}
-        self._instants = Instants(len(self._known.rows))
+        self._instants = CameraInstants(len(self._known.rows))
         self._refused: dict[str, Counter[str]] = {}
         """By link: unknown_camera, other_network, too_late."""
 
@@ -57,7 +57,7 @@ class HeatMapSource(ListeningSource):
             frames += map(self._frame, self._instants.complete())
         return frames
 
-    def _frame(self, instant: Instant) -> HeatMapFrame:
+    def _frame(self, instant: CameraInstant) -> HeatMapFrame:
         """Return the person without a number, in all cameras."""
         shown = {
             row: each for row, messages in instant.messages.items() for each in messages if each.person == 0
@@ -136,7 +136,7 @@ class KnownCameras:
 
 
 @dataclass(frozen=True, slots=True)
-class Instant:
+class CameraInstant:
     """What the cameras told of one instant."""
 
     sequence: int
@@ -146,7 +146,7 @@ class Instant:
     """By camera's row, a message for each person that it followed; none of a camera not waited for."""
 
 
-class Instants:
+class CameraInstants:
     """Messages of several cameras put together by their sequence numbers, given out in order.
 
     An instant waits for a camera that may still send it: not for one that has sent a later one (the
@@ -190,7 +190,7 @@ class Instants:
         self._since_ns.setdefault(message.sequence, arrived_ns)
         return True
 
-    def complete(self) -> Iterator[Instant]:
+    def complete(self) -> Iterator[CameraInstant]:
         """Yield instants that all cameras have told of, or that are given up waiting for, in order."""
         while self._waiting:
             first = min(self._waiting)
@@ -202,7 +202,7 @@ class Instants:
             self.given += 1
             self.incomplete += len(messages) < self._n
             assert self._offset_ns is not None
-            yield Instant(first, messages[min(messages)][0].time_ns + self._offset_ns, messages)
+            yield CameraInstant(first, messages[min(messages)][0].time_ns + self._offset_ns, messages)
 
     def _is_awaited(self, sequence: int) -> bool:
         """Return whether a camera may still tell of this instant, and is waited for."""

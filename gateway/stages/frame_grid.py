@@ -71,7 +71,7 @@ INSTANT = np.dtype([("time_ns", np.int64), ("is_clipped", np.bool_)], align=True
 """A frame; is_clipped: a sensor of any module was at the end of its range."""
 
 
-class Block(NamedTuple):
+class InstantBlock(NamedTuple):
     """Room for T instants of n modules."""
 
     instants: NDArray[np.void]  # (T,) INSTANT
@@ -83,11 +83,13 @@ class Block(NamedTuple):
     clipped: StatusArray  # (T, n)
 
 
-def new_block(size: int, n: int) -> Block:
+def new_block(size: int, n: int) -> InstantBlock:
     """Return room for so many instants of n modules."""
     force, rate, field = (np.empty((size, n, 3)) for _ in range(3))
     status, clipped = (np.empty((size, n), np.uint8) for _ in range(2))
-    return Block(np.zeros(size, INSTANT), force, rate, field, status, np.empty((size, n), np.int64), clipped)
+    return InstantBlock(
+        np.zeros(size, INSTANT), force, rate, field, status, np.empty((size, n), np.int64), clipped
+    )
 
 
 def new_rings(n: int) -> NDArray[np.void]:
@@ -118,7 +120,7 @@ def take(
     """Take samples (k,) from ``first`` on, and write the instants that they complete after ``used`` others.
 
     grids: (1,) ``GRID``; modules: (n,) ``MODULE``; rings: (n, DEPTH); passed: a queue of ``PASSED``; the
-    other arguments are the fields of a ``Block``. Returns the sample to go on with (k: all are taken), how
+    others are the fields of an ``InstantBlock``. Returns the sample to go on with (k: all are taken), how
     many of the block are used now, how many samples were kept, and how many samples and instants were lost.
     """
     grid, taken, lost = grids[0], 0, 0

@@ -44,7 +44,7 @@ from gateway.viewer.posture import PostureKeeper, skeleton_of
 from gateway.viewer.replaying import ReplayedTake
 from gateway.viewer.scene import BodyScene
 from gateway.viewer.sensor_tab import SensorTab
-from gateway.viewer.stage import Stage
+from gateway.viewer.stage import ViewerStage
 from gateway.viewer.takes import TakesTab
 from gateway.viewer.trail import Trail
 
@@ -104,7 +104,7 @@ class LiveViewer:
         self._worn: frozenset[str] = frozenset()
         self._requests: set[concurrent.futures.Future[None]] = set()
 
-        self._stage = Stage(server)
+        self._stage = ViewerStage(server)
         self._markers = LiveMarkers(server, self._stage)
         self._trail = Trail(server, self._stage)
         self._companions = Companions(server, self._stage)

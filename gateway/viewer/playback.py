@@ -16,7 +16,7 @@ from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper
 from gateway.viewer.replaying import RecordedPoses
 from gateway.viewer.scene import BodyScene
-from gateway.viewer.stage import Stage
+from gateway.viewer.stage import ViewerStage
 from gateway.viewer.texts import ENGLISH, translated
 from gateway.viewer.trail import Trail
 
@@ -53,7 +53,7 @@ class Playback:
         self._worn = {segment for segment, was in zip(arrays.segment_names, measured, strict=True) if was}
         skeleton = arrays.skeleton
         self._poses = RecordedPoses(arrays)
-        self._stage = Stage(server)
+        self._stage = ViewerStage(server)
         self._scene, self._keeper = BodyScene(server, self._stage, skeleton), PostureKeeper(skeleton)
         self._wires = muscle_wires(server, self._stage, skeleton, muscles_kg)
 

@@ -39,7 +39,7 @@ _ASIDE_M = 0.4
 """On any other page it stands to the left of the middle, for the panel is on the right."""
 
 
-class Stage:
+class ViewerStage:
     """Made once a page. Cameras stay where their users have put them, on however many pages."""
 
     def __init__(self, server: viser.ViserServer) -> None:

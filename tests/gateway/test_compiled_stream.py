@@ -37,7 +37,7 @@ from firmware_protocol.golden import VECTORS
 from firmware_protocol.signing import SignedFrames
 from gateway.clocks import ClockTable, TriggerAnswers
 from gateway.clocks.clock_rows import MOST_PACKETS
-from gateway.emulation.both_ways import BothWays, Difference
+from gateway.emulation.both_ways import BothWays, BothWaysDiffer
 from gateway.sources import compiled_decoding
 from gateway.sources import suit as readable_way
 from gateway.sources.clock_mode import ClockMode
@@ -354,7 +354,7 @@ def is_late(real, record, packet, sequence, time_ns):
 def test_a_way_that_is_wrong_is_found(where, name, altered, monkeypatch):
     broken(monkeypatch, where, name, altered)
     both = both_ways()
-    with pytest.raises(Difference, match="readings"):
+    with pytest.raises(BothWaysDiffer, match="readings"):
         receive_some(both)
 
 
@@ -368,5 +368,5 @@ def test_counts_that_differ_are_found():
     both.receive(plain_chunk(0))
     both.compare_accounts()
     both.readable.modules[0].sequences[InertialSample.KIND].duplicates += 1
-    with pytest.raises(Difference, match="balances"):
+    with pytest.raises(BothWaysDiffer, match="balances"):
         both.compare_accounts()

@@ -44,7 +44,7 @@ from gateway.reconstruction.optical.landmarks import (
 from gateway.reconstruction.optical.marker_set import MarkerSet
 from gateway.reconstruction.optical.pose_solver import BodyModel, Held, Pose, body_model, everyone, solve_pose
 from gateway.reconstruction.optical.rule_body import (
-    Sighting,
+    SightedTrial,
     facing_axes,
     from_rules,
     mean_rotation,
@@ -183,7 +183,7 @@ class _Evidence(NamedTuple):
 
 
 def _evidence(
-    marker_set: MarkerSet, skeleton: Skeleton, markers: BodyMarkers, chosen: Sequence[Sighting]
+    marker_set: MarkerSet, skeleton: Skeleton, markers: BodyMarkers, chosen: Sequence[SightedTrial]
 ) -> _Evidence:
     """Return the chosen frames of all trials, each with the pose from which the fit begins."""
     model = body_model(skeleton, markers)
@@ -296,7 +296,7 @@ def _anchored_in_neutral(
 
 def _enough_seen(
     marker_set: MarkerSet, trials: Sequence[MarkerTrial], vertical: str, measured: Measured
-) -> tuple[MarkerSet, list[Sighting], dict[str, tuple[str, ...]]]:
+) -> tuple[MarkerSet, list[SightedTrial], dict[str, tuple[str, ...]]]:
     """Return the set without limbs of which no frame tells how they lie, what is seen of the rest, and those
     limbs with the markers that lack. A body of which hardly anything would be left stays as it is."""
     left, too_few = marker_set, dict[str, tuple[str, ...]]()
@@ -320,15 +320,15 @@ def _enough_seen(
         left = worn_part(left, kept, lost)
 
 
-def sighted(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> Sighting:
+def sighted(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> SightedTrial:
     """Return a trial's markers in the world, and what rules make of them."""
     markers = to_world(trial.columns(marker_set.labels), vertical)
-    return Sighting(trial.name, markers, landmarks_of(marker_set, trial, vertical, measured).places())
+    return SightedTrial(trial.name, markers, landmarks_of(marker_set, trial, vertical, measured).places())
 
 
 def _stood_neutral(
-    marker_set: MarkerSet, sightings: list[Sighting], trial: MarkerTrial, span: tuple[float, float]
-) -> list[Sighting]:
+    marker_set: MarkerSet, sightings: list[SightedTrial], trial: MarkerTrial, span: tuple[float, float]
+) -> list[SightedTrial]:
     first, last = (round(each * trial.rate_hz) for each in span)
     stretch = sightings[0].places.axes[max(first, 0) : last]
     body = marker_set.body
@@ -359,7 +359,7 @@ def _trust(marker_set: MarkerSet, model: BodyModel, centres: str) -> FloatArray:
     return np.where(is_hardly_seen & (model.parents >= 0), _HELD * trust, trust)
 
 
-def _moving(sightings: Sequence[Sighting]) -> list[Sighting]:
+def _moving(sightings: Sequence[SightedTrial]) -> list[SightedTrial]:
     """Return the trials, few frames of those in which nothing moves.
 
     A posture held for seconds is one posture: were all its frames to count, the body would be that of this
@@ -370,7 +370,7 @@ def _moving(sightings: Sequence[Sighting]) -> list[Sighting]:
     ]
 
 
-def _spread(sighting: Sighting, count: int) -> Sighting:
+def _spread(sighting: SightedTrial, count: int) -> SightedTrial:
     """Return so many of the frames with most markers seen, at equal distances."""
     share = np.isfinite(sighting.markers).all(axis=2).mean(axis=1)
     good = np.flatnonzero(share >= min(0.8, share.max()))
@@ -379,7 +379,7 @@ def _spread(sighting: Sighting, count: int) -> Sighting:
 
 
 def _standing(
-    sighting: Sighting,
+    sighting: SightedTrial,
     markers: BodyMarkers,
     marker_set: MarkerSet,
     span: tuple[float, float],

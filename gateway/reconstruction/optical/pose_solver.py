@@ -51,7 +51,7 @@ class BodyModel(NamedTuple):
     limit_stiffness: float  # 1/rad²
 
 
-class Seen(NamedTuple):
+class WeighedMarkers(NamedTuple):
     """One frame of markers."""
 
     observed: FloatArray  # (M, 3) m; NaN rows: not seen
@@ -111,9 +111,9 @@ def body_model(skeleton: Skeleton, markers: BodyMarkers) -> BodyModel:
     )  # fmt: skip
 
 
-def everyone(observed: FloatArray, scale: float) -> Seen:
+def everyone(observed: FloatArray, scale: float) -> WeighedMarkers:
     """Return a frame of which all markers are trusted. scale: m."""
-    return Seen(observed, np.ones(len(observed)), scale)
+    return WeighedMarkers(observed, np.ones(len(observed)), scale)
 
 
 @compiled
@@ -186,7 +186,7 @@ def normal_equations(
 
 
 @compiled
-def marker_weights(model: BodyModel, seen: Seen, y: FloatArray) -> FloatArray:
+def marker_weights(model: BodyModel, seen: WeighedMarkers, y: FloatArray) -> FloatArray:
     """Return Geman–McClure weights (1 + (r / c)²)⁻², times the trust given; 0 where a marker was not seen.
 
     c: the scale, and four times a marker's own σ at the least.
@@ -203,7 +203,7 @@ def marker_weights(model: BodyModel, seen: Seen, y: FloatArray) -> FloatArray:
 
 @compiled
 def solve_pose(
-    model: BodyModel, seen: Seen, R: FloatArray, root: FloatArray, held: Held, longest: int
+    model: BodyModel, seen: WeighedMarkers, R: FloatArray, root: FloatArray, held: Held, longest: int
 ) -> Pose:
     """Return the pose that explains the markers best, near the one given.
 

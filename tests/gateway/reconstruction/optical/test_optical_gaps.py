@@ -18,8 +18,8 @@ from gateway.reconstruction.optical.bundle import _loose
 from gateway.reconstruction.optical.carrying import Carrying
 from gateway.reconstruction.optical.motion_kernels import (
     Evidence,
-    Motion,
-    Posture,
+    MovingPoses,
+    UsualTurns,
     assembled,
     motion_cost,
     stepped,
@@ -139,9 +139,9 @@ def test_the_equations_of_a_motion_are_the_slope_of_its_cost() -> None:
     observed = np.array([_seen(model, each) for each in R]) + (root - [0.0, 0.0, 0.95])[:, None]
     observed += generator.normal(0.0, 0.002, observed.shape)
     observed[generator.random(observed.shape[:2]) < 0.3] = np.nan
-    motion, differences = Motion(R, root, 3), _differences(times, 3)
+    motion, differences = MovingPoses(R, root, 3), _differences(times, 3)
     spread = generator.normal(0.0, 5.0, (BODY.n_segments, 3, 3))
-    posture = Posture(
+    posture = UsualTurns(
         Rotation.from_rotvec(generator.normal(0.0, 0.05, (BODY.n_segments, 3))).as_matrix(),
         spread @ np.swapaxes(spread, 1, 2), generator.uniform(0.5, 2.0, 7),
     )  # fmt: skip
