@@ -40,7 +40,7 @@ class FloorForces:
     segments: IntArray  # (C,)
     force: FloatArray  # (F, C, 3) N
     moment: FloatArray  # (F, C, 3) N m, about the world's origin
-    source: NDArray[np.uint8]  # (F, C) Source
+    source: NDArray[np.uint8]  # (F, C) ``ForceSource``
     height_m: FloatArray  # (F, C) of what is under the foot
     notes: tuple[str, ...] = ()
     """Sentences on what is doubtful."""

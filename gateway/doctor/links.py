@@ -14,7 +14,7 @@ from devices.device_errors import DeviceError
 from devices.endpoints import link_from_url
 from devices.line_rate import DEFAULT_BITRATE, CanRate, UartRate, line_rate
 from devices.link import SUIT, LinkBusyError, LinkError
-from devices.replay_link import ReplayLink
+from devices.replay_link import is_recording
 from firmware_protocol import Defect, InertialSample
 from firmware_protocol.capacity import Traffic, can_load, uart_load
 from gateway.body.skeleton import WornSuit
@@ -47,7 +47,7 @@ async def opening(link: LinkSettings, *, gateway_runs: bool) -> Finding:
             return good(subject, f"{link.url} is open in the running gateway")
         return bad(subject, found, remedy or "correct its url in the configuration, or plug it in")
     await opened.close()
-    what = "recording can be read" if isinstance(opened, ReplayLink) else "can be opened"
+    what = "recording can be read" if is_recording(opened) else "can be opened"
     return good(subject, f"{link.url} {what}")
 
 

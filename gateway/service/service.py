@@ -21,7 +21,7 @@ from devices.link import (
 )
 from devices.link_counts import LinkCounts
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
-from devices.replay_link import ReplayLink, contents_of
+from devices.replay_link import contents_of, is_recording
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
 from gateway.calibration.kept_rig import KeptRig
@@ -389,7 +389,8 @@ class Service:
         contents = self._contents_of(link)
         for name, content in contents.items():
             self.pipeline.add_link(name, content)
-        if not isinstance(link, ReplayLink):
+        is_live = not is_recording(link)
+        if is_live:
             self._makers.add_link(link, self.pipeline.source_of(link.name))
             if self._takes_commands(link):
                 self._announced.append(link)
@@ -408,7 +409,7 @@ class Service:
                 if isinstance(item, Chunk):
                     n_poses += self._take_chunk(item, contents[item.link])
                     # The arrival times of a recording are not of today, so they say nothing of the load.
-                    if not isinstance(link, ReplayLink):
+                    if is_live:
                         self.shedding.note_lag(link.name, counts, item.arrived_ns)
                     if self.side.is_waiting or n_poses >= _POSES_A_TURN:
                         n_poses = 0
