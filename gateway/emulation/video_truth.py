@@ -15,8 +15,7 @@ from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
 from gateway.frames import CameraHeatMaps, FloatArray, HeatMapFrame
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.video.inverse_kinematics import keypoint_places, video_body
+from gateway.reconstruction.video.inverse_kinematics import video_body
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.proportions import PARTS, sized, standard_lengths
 from gateway.reconstruction.video.region import PersonRegion, person_region
@@ -56,10 +55,8 @@ def walking(
     R = np.stack([_posture(skeleton, 2 * np.pi * _STEP_HZ * t + phase, heading, upside_down) for t in times])
     height = 1.1 if upside_down else 0.92
     roots = np.array([[*(np.array(start) + np.array(velocity) * t), height] for t in times])
-    joints = [
-        kernels.places(body.model.parents, body.model.offsets, *pose) for pose in zip(R, roots, strict=True)
-    ]
-    points = [keypoint_places(body.model, *pose) for pose in zip(R, roots, strict=True)]
+    joints = [body.model.joints_at(*pose) for pose in zip(R, roots, strict=True)]
+    points = [body.model.markers_at(*pose) for pose in zip(R, roots, strict=True)]
     return KnownPerson(skeleton, markers, R, np.stack(joints), np.stack(points))
 
 

@@ -15,7 +15,6 @@ from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.anchoring import (
     turned,
     turns_to_bending,
@@ -401,7 +400,7 @@ def _made_neutral(
     for seen in stood:
         pose = solve_pose(model, everyone(seen, _NEAR_AT_FIRST), pose.R, pose.root, Held(pose.R), 30)
         standing.append(pose)
-    joints = [kernels.places(model.parents, model.offsets, each.R, each.root) for each in standing]
+    joints = [model.joints_at(each.R, each.root) for each in standing]
     upright = facing_axes(body, np.mean(joints, axis=0), standing[0].R[0])
     return turned(done, tips, turns_to_neutral(standing, upright))
 

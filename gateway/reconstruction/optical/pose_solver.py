@@ -50,6 +50,14 @@ class BodyModel(NamedTuple):
     limits: FloatArray  # (J, 3, 2) rad
     limit_stiffness: float  # 1/rad²
 
+    def joints_at(self, R: FloatArray, root: FloatArray) -> FloatArray:
+        """Return the proximal joints (S, 3) of a pose R (S, 3, 3) segment to world, root (3,); world, m."""
+        return kernels.places(self.parents, self.offsets, R, root)
+
+    def markers_at(self, R: FloatArray, root: FloatArray) -> FloatArray:
+        """Return where the body has its markers (M, 3) in a pose as of ``joints_at``; world, m."""
+        return kernels.marker_places(self.segments, self.positions, R, self.joints_at(R, root))
+
 
 class WeighedMarkers(NamedTuple):
     """One frame of markers."""

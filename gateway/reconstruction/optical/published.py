@@ -20,7 +20,6 @@ from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix as rm
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
 from gateway.reconstruction.optical.published_chains import Chain, chain_gradient, chains_of, turned
 
@@ -133,7 +132,7 @@ def _mean_places(model: BodyModel, observed: FloatArray, R: FloatArray, root: Fl
             np.einsum(
                 "mji,mj->mi",
                 R[f][model.segments],
-                observed[f] - _places(model, R[f], root[f])[model.segments],
+                observed[f] - model.joints_at(R[f], root[f])[model.segments],
             )
             for f in range(len(observed))
         ]
@@ -146,18 +145,9 @@ def _mean_places(model: BodyModel, observed: FloatArray, R: FloatArray, root: Fl
     return mean
 
 
-def _places(model: BodyModel, R: FloatArray, root: FloatArray) -> FloatArray:
-    return kernels.places(model.parents, model.offsets, R, root)
-
-
 def _summed_distance(model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray) -> float:
     """Return the distance summed over all markers and frames, mm."""
-    virtual = np.stack(
-        [
-            kernels.marker_places(model.segments, model.positions, R[f], _places(model, R[f], root[f]))
-            for f in range(len(observed))
-        ]
-    )
+    virtual = np.stack([model.markers_at(R[f], root[f]) for f in range(len(observed))])
     return float(np.nansum(np.linalg.norm(observed - virtual, axis=2)) * _MM)
 
 

@@ -13,7 +13,6 @@ from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, SkeletonFrame, Status
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
 from gateway.reconstruction.optical.published import Progress, PublishedMotion, Trial, solve_published
 from gateway.reconstruction.optical.rates import Rates
@@ -74,12 +73,7 @@ def published_trial(
 
 
 def _explained(model: BodyModel, motion: PublishedMotion, observed: FloatArray) -> PublishedTrial:
-    p_w = np.stack(
-        [
-            kernels.places(model.parents, model.offsets, R, root)
-            for R, root in zip(motion.R, motion.root, strict=True)
-        ]
-    )
+    p_w = np.stack([model.joints_at(R, root) for R, root in zip(motion.R, motion.root, strict=True)])
     virtual = p_w[:, model.segments] + np.einsum("fmij,mj->fmi", motion.R[:, model.segments], model.positions)
     residuals: FloatArray = np.linalg.norm(observed - virtual, axis=2)
     seen: NDArray[np.bool_] = np.isfinite(residuals)

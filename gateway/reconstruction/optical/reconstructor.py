@@ -11,7 +11,6 @@ from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, MarkerFit, MarkerFrame, SkeletonFrame, Status
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.carrying import Carrying
 from gateway.reconstruction.optical.labelling import relabelled
 from gateway.reconstruction.optical.pose_solver import (
@@ -79,8 +78,7 @@ class OpticalReconstructor:
     def named(self, observation: MarkerFrame, R: FloatArray, root: FloatArray) -> Named:
         """Return the markers of an instant once names are put right that do not fit a pose (S, 3, 3), (3,)
         m."""
-        p = kernels.places(self.model.parents, self.model.offsets, R, root)
-        expected = kernels.marker_places(self.model.segments, self.model.positions, R, p)
+        expected = self.model.markers_at(R, root)
         found = relabelled(observation.positions, expected, self.model.sigmas, observation.unlabelled)
         renamed = () if found is None else found.renamed
         return _with_names(observation, renamed, expected), renamed
@@ -138,8 +136,9 @@ class OpticalReconstructor:
     def _questioned(self, frame: MarkerFrame, pose: Pose, renamed: Renamed) -> tuple[Pose, Renamed]:
         """Return the pose, and which markers had others' points, once names that do not fit it are
         put right."""
-        given = _with_names(frame, renamed, self._virtual(pose))
-        named = relabelled(given, self._virtual(pose), self.model.sigmas, frame.unlabelled)
+        virtual = self.model.markers_at(pose.R, pose.root)
+        given = _with_names(frame, renamed, virtual)
+        named = relabelled(given, virtual, self.model.sigmas, frame.unlabelled)
         if named is None:
             return pose, renamed
         self.counts["rejected"] += len(named.rejected)
@@ -158,8 +157,7 @@ class OpticalReconstructor:
         if self._now is None or np.isfinite(frame.positions).all(axis=1).sum() < 3:
             return None, ()
         R, root = self._predicted(frame.time_ns)
-        p = kernels.places(self.model.parents, self.model.offsets, R, root)
-        expected = kernels.marker_places(self.model.segments, self.model.positions, R, p)
+        expected = self.model.markers_at(R, root)
         named = relabelled(frame.positions, expected, self.model.sigmas, frame.unlabelled)
         renamed = () if named is None else named.renamed
         given = _with_names(frame, renamed, expected)
@@ -184,19 +182,15 @@ class OpticalReconstructor:
         seen = everyone(np.ascontiguousarray(observed), NEAR)
         return solve_pose(self.model, seen, R, root, held, _LONGEST)
 
-    def _virtual(self, pose: Pose) -> FloatArray:
-        p = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
-        return kernels.marker_places(self.model.segments, self.model.positions, pose.R, p)
-
     def _explained(self, frame: MarkerFrame, pose: Pose, renamed: Renamed) -> MarkerFit:
-        virtual = self._virtual(pose)
+        virtual = self.model.markers_at(pose.R, pose.root)
         positions = _with_names(frame, renamed, virtual)
         residuals = np.linalg.norm(positions - virtual, axis=1)
         used = pose.weights > ACCEPTED
         return MarkerFit(positions, virtual, residuals, used, renamed, frame.unlabelled)
 
     def _frame(self, frame: MarkerFrame, pose: Pose) -> SkeletonFrame:
-        p_w = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
+        p_w = self.model.joints_at(pose.R, pose.root)
         rate, acceleration = self._rates.add(frame.time_ns, pose.R, p_w)
         used = pose.weights > ACCEPTED
         carried = np.zeros(self.skeleton.n_segments, dtype=bool)
@@ -227,7 +221,7 @@ class OpticalReconstructor:
         if self._now is not None:
             pose = self._now[1]
             q_wb = np.stack([quaternion.from_matrix(each) for each in pose.R])
-            p_w = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
+            p_w = self.model.joints_at(pose.R, pose.root)
             status = Status.HELD
         return SkeletonFrame(
             frame.sequence, frame.time_ns, q_wb, unknown, unknown.copy(), p_w, np.full(n, np.nan),

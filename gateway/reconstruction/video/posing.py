@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 
 from gateway.frames import FloatArray, SkeletonFrame, Status
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Held
 from gateway.reconstruction.optical.rates import Rates
 from gateway.reconstruction.video.inverse_kinematics import (
     Goal,
     VideoBody,
     VideoBodyPose,
-    keypoint_places,
     solve,
 )
 from gateway.reconstruction.video.low_pass import DELAY, LowPass
@@ -33,7 +31,7 @@ def skeleton_frame(
     unknown = np.full((n, 3), np.nan)
     return SkeletonFrame(
         sequence, time_ns, np.stack([quaternion.from_matrix(each) for each in pose.R]), unknown,
-        unknown.copy(), kernels.places(body.model.parents, body.model.offsets, pose.R, pose.root),
+        unknown.copy(), body.model.joints_at(pose.R, pose.root),
         sigma, status, 0,
     )  # fmt: skip
 
@@ -77,7 +75,7 @@ class PoseSmoother:
         self, newest: SkeletonFrame, body: VideoBody, pose: VideoBodyPose, floor: float
     ) -> SkeletonFrame | None:
         """Return the smoothed frame of ``DELAY`` poses before; None until there are as many."""
-        targets = self._low_pass.add(keypoint_places(body.model, pose.R, pose.root))
+        targets = self._low_pass.add(body.model.markers_at(pose.R, pose.root))
         self._waiting.append((newest, pose))
         if len(self._waiting) <= DELAY:
             return None
@@ -89,7 +87,7 @@ class PoseSmoother:
         if not self._waiting:
             return []
         last = self._waiting[-1][1]
-        places = keypoint_places(body.model, last.R, last.root)
+        places = body.model.markers_at(last.R, last.root)
         for _ in range(DELAY - len(self._waiting)):
             self._low_pass.add(places)
         if len(self._waiting) > DELAY:
@@ -104,7 +102,7 @@ class PoseSmoother:
         frame, pose = self._waiting[0]
         goal = Goal(targets, np.ones(len(targets)), Held(pose.R, HELD_SIGMA**-2), floor)
         smooth = solve(body, goal, pose.R, pose.root, _STEPS)
-        p_w = kernels.places(body.model.parents, body.model.offsets, smooth.R, smooth.root)
+        p_w = body.model.joints_at(smooth.R, smooth.root)
         rate, acceleration = self._rates.add(frame.time_ns, smooth.R, p_w)
         q_wb = np.stack([quaternion.from_matrix(each) for each in smooth.R])
         return SkeletonFrame(

@@ -12,7 +12,7 @@ from gateway.emulation.optical_truth import cut_gaps
 from gateway.frames import FloatArray, MarkerFrame, Status
 from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm
-from gateway.reconstruction.optical import both_ways, kernels, point_rules
+from gateway.reconstruction.optical import both_ways, point_rules
 from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.bundle import _loose
 from gateway.reconstruction.optical.carrying import Carrying
@@ -44,8 +44,7 @@ def _markers(n_each: int = 3) -> BodyMarkers:
 
 
 def _seen(model: BodyModel, R: FloatArray) -> FloatArray:
-    p = kernels.places(model.parents, model.offsets, R, np.array([0.0, 0.0, 0.95]))
-    return kernels.marker_places(model.segments, model.positions, R, p)
+    return model.markers_at(R, np.array([0.0, 0.0, 0.95]))
 
 
 def _waving(n: int) -> FloatArray:
