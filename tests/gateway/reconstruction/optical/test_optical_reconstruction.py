@@ -233,8 +233,9 @@ def test_a_fitted_subject_solves_its_trial_through_the_pipeline(tmp_path: Path) 
     static, motion = (read_markers(DATA / name) for name in BTK)
     fit = fit_body(marker_set, [static, _short(motion, 30)], FitOptions(centres="rules"))
     path = tmp_path / "anna.yaml"
+    lengths = dict(fit.measured.lengths)
     content = subject_content(
-        "anna", fit.marker_set, body_of(fit.skeleton), fit.skeleton, fit.markers, {}, dict(fit.lengths)
+        "anna", fit.marker_set, body_of(fit.skeleton), fit.skeleton, fit.markers, {}, lengths
     )
     write_subject(path, content)
     suit = load_rig(str(path))
