@@ -83,21 +83,22 @@ class _Tracked:
     """When that was."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CrowdInstant:
     """What one instant brought."""
 
-    entered: Mapping[int, WornSuit]
-    """By number, with the lengths that were measured. A number that has left before: they are back."""
-    before: Mapping[int, Sequence[Sequence[bytes]]]
-    """Of those who entered, the messages of every instant from when they were found to this one."""
     messages: Mapping[int, Sequence[bytes]]
     """By number, a message a camera with the heat maps without the other people: as of a single person."""
-    absent: Mapping[int, int]
-    """By the numbers in ``messages``, instants since somebody was last there; they may be waited for."""
-    left: Sequence[int]
     orders: bytes
     """For the cameras."""
+    entered: Mapping[int, WornSuit] = field(default_factory=dict)
+    """By number, with the lengths that were measured. A number that has left before: they are back."""
+    before: Mapping[int, Sequence[Sequence[bytes]]] = field(default_factory=dict)
+    """Of those who entered, the messages of every instant from when they were found to this one."""
+    absent: Mapping[int, int] = field(default_factory=dict)
+    """By the numbers in ``messages``, instants since somebody was last there; they may be waited for."""
+    left: Sequence[int] = ()
+    """Numbers of those who are gone."""
 
 
 @dataclass
@@ -202,10 +203,13 @@ class LiveCrowd:
             absent.pop(back, None)
         self._admit(instant)
         return CrowdInstant(
-            {number: worn_person(person, self._video) for number, (person, _) in entered.items()},
-            {number: seen for number, (_, seen) in entered.items()},
-            messages, absent, left, self._orders(instant.sequence),
-        )  # fmt: skip
+            messages=messages,
+            orders=self._orders(instant.sequence),
+            entered={number: worn_person(person, self._video) for number, (person, _) in entered.items()},
+            before={number: seen for number, (_, seen) in entered.items()},
+            absent=absent,
+            left=left,
+        )
 
     def _note(
         self, each: _Tracked, points: FloatArray | None, others: Sequence[FloatArray], frame: HeatMapFrame
