@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gateway.body.interpolation import following_rules
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, ImuFrame, IntArray, Quantity, SkeletonFrame, Status
+from gateway.frames import FloatArray, ImuFrame, IntArray, Quantity, SkeletonFrame, unknown_pose
 from gateway.geometry.compiled import for_types_of
 from gateway.geometry.records import Records, records
 from gateway.reconstruction.inertial.contacts import (
@@ -148,7 +148,7 @@ class WholeBodyReconstructor:
         """Forget everything but the parameters."""
         self.finder.reset()
         n = self._suit.skeleton.n_segments
-        self._last = no_pose(n)
+        self._last = unknown_pose(n)
         self._clock = np.full(1, NEVER_NS, np.int64)
         self._memory = _Memory(
             initial_stance(n),
@@ -361,13 +361,6 @@ class WholeBodyReconstructor:
         self._prepare_frames = for_types_of(prepare_frames, stacked((frame,)), room, self._before)
         pose = stacked_poses((self._last,)).arrays()
         self._finish_frames = for_types_of(finish_frames, 0, 0, pose, room, self._after)
-
-
-def no_pose(n: int) -> SkeletonFrame:
-    """Return the pose of n segments without any sample."""
-    q_wb, rate, acceleration, p_w = (np.full((n, size), np.nan) for size in (4, 3, 3, 3))
-    status = np.full(n, Status.MISSING, np.uint8)
-    return SkeletonFrame(0, 0, q_wb, rate, acceleration, p_w, np.full(n, np.nan), status, 0)
 
 
 def _numbers(pose: SkeletonFrame) -> IntArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
-from gateway.frames import FloatArray, MarkerFit, MarkerFrame, SkeletonFrame, Status
+from gateway.frames import FloatArray, MarkerFit, MarkerFrame, SkeletonFrame, Status, unknown_pose
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.carrying import Carrying
 from gateway.reconstruction.optical.labelling import relabelled
@@ -215,18 +215,17 @@ class OpticalReconstructor:
         return max(float((pose.weights * squares).sum() / freedom), _SMALLEST_VARIANCE)
 
     def _without_markers(self, frame: MarkerFrame) -> SkeletonFrame:
-        n = self.skeleton.n_segments
-        unknown = np.full((n, 3), np.nan)
-        q_wb, p_w, status = np.full((n, 4), np.nan), unknown.copy(), Status.MISSING
-        if self._now is not None:
-            pose = self._now[1]
-            q_wb = np.stack([quaternion.from_matrix(each) for each in pose.R])
-            p_w = self.model.joints_at(pose.R, pose.root)
-            status = Status.HELD
-        return SkeletonFrame(
-            frame.sequence, frame.time_ns, q_wb, unknown, unknown.copy(), p_w, np.full(n, np.nan),
-            np.full(n, status, dtype=np.uint8), 0,
-        )  # fmt: skip
+        """Return the last pose, held; before the first, one of which nothing is known."""
+        n, pose = self.skeleton.n_segments, self.pose
+        unknown = unknown_pose(n, frame.sequence, frame.time_ns)
+        if pose is None:
+            return unknown
+        return replace(
+            unknown,
+            q_wb=np.stack([quaternion.from_matrix(each) for each in pose.R]),
+            p_w=self.model.joints_at(pose.R, pose.root),
+            status=np.full(n, Status.HELD, np.uint8),
+        )
 
 
 def _with_names(frame: MarkerFrame, renamed: Renamed, virtual: FloatArray) -> FloatArray:

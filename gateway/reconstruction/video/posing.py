@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.frames import FloatArray, SkeletonFrame, Status
+from gateway.frames import FloatArray, SkeletonFrame, Status, unknown_pose
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Held
 from gateway.reconstruction.optical.rates import Rates
@@ -27,22 +28,13 @@ def skeleton_frame(
     status: NDArray[np.uint8],
 ) -> SkeletonFrame:  # fmt: skip
     """Return a pose as it is; rates and accelerations are not known (NaN). sigma: (S,) rad."""
-    n = len(body.model.parents)
-    unknown = np.full((n, 3), np.nan)
-    return SkeletonFrame(
-        sequence, time_ns, np.stack([quaternion.from_matrix(each) for each in pose.R]), unknown,
-        unknown.copy(), body.model.joints_at(pose.R, pose.root),
-        sigma, status, 0,
-    )  # fmt: skip
-
-
-def no_frame(sequence: int, time_ns: int, n_segments: int) -> SkeletonFrame:
-    """Return the frame of an instant at which nobody was found."""
-    unknown = np.full((n_segments, 3), np.nan)
-    return SkeletonFrame(
-        sequence, time_ns, np.full((n_segments, 4), np.nan), unknown, unknown.copy(), unknown.copy(),
-        np.full(n_segments, np.nan), np.full(n_segments, Status.MISSING, dtype=np.uint8), 0,
-    )  # fmt: skip
+    return replace(
+        unknown_pose(len(body.model.parents), sequence, time_ns),
+        q_wb=np.stack([quaternion.from_matrix(each) for each in pose.R]),
+        p_w=body.model.joints_at(pose.R, pose.root),
+        sigma=sigma,
+        status=status,
+    )
 
 
 def statuses(shows: NDArray[np.bool_], lost: NDArray[np.bool_]) -> NDArray[np.uint8]:
