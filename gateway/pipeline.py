@@ -63,6 +63,7 @@ class Pipeline:
         params: AssemblyParams,
         reconstructor: str = "independent",
         clock_mode: ClockMode = ClockMode.ESTIMATED,
+        *,
         clock_table: ClockTable | None = None,
         despiker: Despiker | None = None,
         trigger_patience_ns: int = 250_000_000,
@@ -72,6 +73,8 @@ class Pipeline:
     ) -> None:
         """Build the sources and stages of a suit.
 
+        reconstructor: name of the method. clock_table: for clock mode TABLE.
+        despiker: takes single wild values out of samples; None: they stay.
         trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken.
         delay_s: by how much the method's frames may come later to be more accurate; for methods that can.
         links: settings of the links by name.
@@ -86,11 +89,11 @@ class Pipeline:
             suit,
             self.modules,
             params,
-            reconstructor,
-            root,
-            despiker,
-            None if clock_table is None else clock_table.reference,
-            delay_s,
+            method=reconstructor,
+            root=root,
+            despiker=despiker,
+            reference=None if clock_table is None else clock_table.reference,
+            delay_s=delay_s,
         )
         self.suit = suit
         """As worn now: a calibration may have changed it."""
@@ -116,12 +119,12 @@ class Pipeline:
             settings.assembly.params(),
             settings.reconstructor,
             settings.clock.mode,
-            None if table is None else load_clock_table(Path(table)),
-            Despiker() if settings.assembly.despike else None,
-            round(settings.clock.trigger_patience_ms * 1e6),
-            settings.root_motion.root(),
-            settings.reconstructor_delay_ms * 1e-3,
-            {link.name: link for link in settings.links},
+            clock_table=None if table is None else load_clock_table(Path(table)),
+            despiker=Despiker() if settings.assembly.despike else None,
+            trigger_patience_ns=round(settings.clock.trigger_patience_ms * 1e6),
+            root=settings.root_motion.root(),
+            delay_s=settings.reconstructor_delay_ms * 1e-3,
+            links={link.name: link for link in settings.links},
         )
 
     def add_link(self, name: str, content: str) -> None:

@@ -153,11 +153,18 @@ class Service:
         self.shedding = Shedding(
             self.load, self.mqtt, self.side, self._apply_event, lambda: self._link_counts
         )
-        parts = self.pipeline, self.links, self.mqtt, self.side
         self.observer = Observer(
-            settings, suit, info, *parts,
-            balances=self.balances, load=self.load, not_recorded=lambda: self.recording.failure,
-        )  # fmt: skip
+            settings,
+            suit,
+            info,
+            self.pipeline,
+            links=self.links,
+            mqtt=self.mqtt,
+            side=self.side,
+            balances=self.balances,
+            load=self.load,
+            not_recorded=lambda: self.recording.failure,
+        )
 
     def _build_commands(self, suit: WornSuit) -> ModuleOperations:
         """Build what is sent to modules: commands, requests for time, triggers. Return the operations."""
