@@ -102,7 +102,16 @@ def find_muscles(
         activity[f], left[f] = solver.solve(arms[f] * share[f], wanted, bias[f], chosen.weight[f])
         if progress is not None and f % _FRAMES_A_REPORT == 0:
             progress(frames + f, 2 * frames)
-    return MuscleResult(names, largest, share, activity, tuple(drawn), asked, arms, left)
+    return MuscleResult(
+        names=names,
+        largest_force=largest,
+        share=share,
+        activity=activity,
+        paths=tuple(drawn),
+        torques=asked,
+        arms=arms,
+        left=left,
+    )
 
 
 def moment_arms(

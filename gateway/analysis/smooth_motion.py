@@ -83,9 +83,16 @@ def smooth_motion(
     values, first, second = (curve(time_s, nu).reshape(turned.shape) for nu in range(3))
     rotation, velocity, acceleration = rotation_derivatives(values, first, second)
     return SmoothMotion(
-        skeleton, time_s, cutoff_hz, path(time_s), path(time_s, 1), path(time_s, 2),
-        rotation, velocity, acceleration,
-    )  # fmt: skip
+        skeleton=skeleton,
+        time_s=time_s,
+        cutoff_hz=cutoff_hz,
+        root=path(time_s),
+        root_velocity=path(time_s, 1),
+        root_acceleration=path(time_s, 2),
+        rotation=rotation,
+        angular_velocity=velocity,
+        angular_acceleration=acceleration,
+    )
 
 
 def low_pass(values: FloatArray, rate_hz: float, cutoff_hz: float | None) -> FloatArray:

@@ -200,9 +200,13 @@ def _message(
 ) -> bytes:
     return encode_heat_maps(
         HeatMapMessage(
-            task.name, task.network, sequence, time_ns,
-            None if maps is None else quantised(maps.likelihood),
-            _NOWHERE if maps is None else maps.map_from_pixel,
-            person, following,
+            camera=task.name,
+            network=task.network,
+            sequence=sequence,
+            time_ns=time_ns,
+            likelihood=None if maps is None else quantised(maps.likelihood),
+            map_from_pixel=_NOWHERE if maps is None else maps.map_from_pixel,
+            person=person,
+            following=following,
         )
-    )  # fmt: skip
+    )

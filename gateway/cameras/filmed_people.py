@@ -62,6 +62,15 @@ class FilmedPeople:
     def _nobody(self, index: int) -> list[bytes]:
         time_ns = self.time_ns(index)
         return [
-            encode_heat_maps(HeatMapMessage(camera.name, self.video.network, index, time_ns, None, _NOWHERE))
+            encode_heat_maps(
+                HeatMapMessage(
+                    camera=camera.name,
+                    network=self.video.network,
+                    sequence=index,
+                    time_ns=time_ns,
+                    likelihood=None,
+                    map_from_pixel=_NOWHERE,
+                )
+            )
             for camera in self.video.cameras
         ]

@@ -247,12 +247,15 @@ class LiveCrowd:
         time_ns = instant.messages[min(instant.messages)][0].time_ns
         messages = (
             HeatMapMessage(
-                camera.name, self._video.network, frame.sequence, time_ns,
-                None if maps is None else quantised(maps.likelihood),
-                _NOWHERE if maps is None else maps.map_from_pixel,
+                camera=camera.name,
+                network=self._video.network,
+                sequence=frame.sequence,
+                time_ns=time_ns,
+                likelihood=None if maps is None else quantised(maps.likelihood),
+                map_from_pixel=_NOWHERE if maps is None else maps.map_from_pixel,
             )
             for camera, maps in zip(self._cameras, frame.cameras, strict=True)
-        )  # fmt: skip
+        )
         return [encode_heat_maps(message) for message in messages]
 
     def _parted(self) -> list[int]:

@@ -144,17 +144,17 @@ def emulated(suit: WornSuit, case: Case, method: str = "joint", seed: int = 1) -
     error = orientation_error(q_wb, state.q_wb)
     statistics: Any = pipeline.statistics()
     return Run(
-        case,
-        times_s,
-        np.degrees(error.total),
-        np.degrees(error.inclination),
-        q_wb,
-        np.stack([frame.p_w for frame in frames]),
-        state.joint_position,
-        np.degrees(np.stack([frame.sigma for frame in frames])),
-        np.stack([frame.status for frame in frames]),
-        statistics["joint_agreement"],
-        {int(module): why for module, why in statistics["doubts"].items()},
+        case=case,
+        times_s=times_s,
+        error_deg=np.degrees(error.total),
+        tilt_deg=np.degrees(error.inclination),
+        q_wb=q_wb,
+        p_w=np.stack([frame.p_w for frame in frames]),
+        true_p_w=state.joint_position,
+        sigma_deg=np.degrees(np.stack([frame.sigma for frame in frames])),
+        status=np.stack([frame.status for frame in frames]),
+        agreement=statistics["joint_agreement"],
+        doubts={int(module): why for module, why in statistics["doubts"].items()},
     )
 
 

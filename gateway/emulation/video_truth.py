@@ -144,7 +144,12 @@ def messages_of(cameras: Sequence[Camera], keypoints: KeypointSet, person: Known
             [
                 encode_heat_maps(
                     HeatMapMessage(
-                        camera.name, "full", t, frame.time_ns, quantised(maps.likelihood), maps.map_from_pixel
+                        camera=camera.name,
+                        network="full",
+                        sequence=t,
+                        time_ns=frame.time_ns,
+                        likelihood=quantised(maps.likelihood),
+                        map_from_pixel=maps.map_from_pixel,
                     )
                 )
                 for camera, maps in zip(cameras, frame.cameras, strict=True)

@@ -164,28 +164,28 @@ class WholeBodyReconstructor:
         carries = np.zeros(n)
         carries[[segment for segment, _ in suit.skeleton.contacts]] = 1.0
         return Before(
-            suit.module_of_segment.astype(np.int64),
-            sensor_to_segment_matrices(suit),
-            carries,
-            np.array([np.linalg.norm(suit.gravity)], np.float64),
-            self._clock,
-            self._memory.repeats,
-            self._memory.stance,
+            module_of_segment=suit.module_of_segment.astype(np.int64),
+            R_bs=sensor_to_segment_matrices(suit),
+            carries=carries,
+            gravity=np.array([np.linalg.norm(suit.gravity)], np.float64),
+            clock=self._clock,
+            repeats=self._memory.repeats,
+            stance=self._memory.stance,
         )
 
     def _after_finder(self) -> After:
         skeleton, memory = self._suit.skeleton, self._memory
         return After(
-            memory.mounting.since_s,
-            memory.mounting.is_doubtful,
-            self._joints,
-            memory.agreement,
-            following_rules(self._suit),
-            skeleton.parents.astype(np.int64),
-            np.array(skeleton.offsets, np.float64),
-            self._places,
-            self._walks,
-            memory.position,
+            judged=memory.mounting.since_s,
+            is_doubtful=memory.mounting.is_doubtful,
+            joints=self._joints,
+            agreement=memory.agreement,
+            rules=following_rules(self._suit),
+            parents=skeleton.parents.astype(np.int64),
+            offsets=np.array(skeleton.offsets, np.float64),
+            places=self._places,
+            walks=self._walks,
+            position=memory.position,
         )
 
     def update(self, observation: ImuFrame) -> SkeletonFrame:

@@ -114,9 +114,18 @@ def body_model(skeleton: Skeleton, markers: BodyMarkers) -> BodyModel:
             if angle.name not in joint.free:
                 stiffness[row, k] = FIXED_SIGMA**-2
     return BodyModel(
-        skeleton.parents, skeleton.offsets, markers.segments, markers.positions, markers.sigmas, distals,
-        axes, signs, stiffness, limits, LIMIT_SIGMA**-2,
-    )  # fmt: skip
+        parents=skeleton.parents,
+        offsets=skeleton.offsets,
+        segments=markers.segments,
+        positions=markers.positions,
+        sigmas=markers.sigmas,
+        distals=distals,
+        axes=axes,
+        signs=signs,
+        stiffness=stiffness,
+        limits=limits,
+        limit_stiffness=LIMIT_SIGMA**-2,
+    )
 
 
 def everyone(observed: FloatArray, scale: float) -> WeighedMarkers:

@@ -41,7 +41,17 @@ class PublishedTrial:
             status = np.full(n, Status.PREDICTED if self.seen[f].any() else Status.HELD, dtype=np.uint8)
             status[self.motion.markers.segments[self.seen[f]]] = Status.MEASURED
             q_wb = np.stack([quaternion.from_matrix(each) for each in R])
-            yield SkeletonFrame(f, time_ns, q_wb, rate, acceleration, p, np.full(n, np.nan), status, 0)
+            yield SkeletonFrame(
+                sequence=f,
+                time_ns=time_ns,
+                q_wb=q_wb,
+                angular_rate=rate,
+                joint_acceleration=acceleration,
+                p_w=p,
+                sigma=np.full(n, np.nan),
+                status=status,
+                root=0,
+            )
 
 
 def published_trial(

@@ -98,5 +98,13 @@ class PoseSmoother:
         rate, acceleration = self._rates.add(frame.time_ns, smooth.R, p_w)
         q_wb = np.stack([quaternion.from_matrix(each) for each in smooth.R])
         return SkeletonFrame(
-            frame.sequence, frame.time_ns, q_wb, rate, acceleration, p_w, frame.sigma, frame.status, 0
+            sequence=frame.sequence,
+            time_ns=frame.time_ns,
+            q_wb=q_wb,
+            angular_rate=rate,
+            joint_acceleration=acceleration,
+            p_w=p_w,
+            sigma=frame.sigma,
+            status=frame.status,
+            root=0,
         )
