@@ -12,7 +12,7 @@ from pathlib import Path
 
 import gateway
 from devices.link import LinkError
-from gateway.batch.kinds import REPORT, SOLVED
+from gateway.batch import REPORT, SOLVED
 from gateway.errors import GatewayError
 from gateway.recording import Recording, open_recording
 from gateway.recording.exporters.formats import FORMATS, Axes

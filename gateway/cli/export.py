@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from gateway.batch.kinds import KINDS, REPORT
+from gateway.batch import KINDS, REPORT
 from gateway.cli.options import AsJson, refuse_existing
 from gateway.cli.solving_options import SolvedOtherwise, with_solving
 from gateway.cli.terminal import progress_bar

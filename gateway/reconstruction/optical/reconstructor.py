@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from dataclasses import replace
 
@@ -22,7 +23,7 @@ from gateway.reconstruction.optical.pose_solver import (
     orientation_sigmas,
     solve_pose,
 )
-from gateway.reconstruction.optical.rates import Rates
+from gateway.reconstruction.optical.rates import WINDOW, Rates
 from gateway.reconstruction.optical.tracking import ACCEPTED, NEAR, laid_anew, start_pose, turned_on
 
 _LONGEST, _AS_IT_IS = 15, 0  # steps
@@ -32,6 +33,8 @@ _LONGEST_PREDICTION_NS = 60_000_000
 _GOOD_SHARE = 0.5
 """Of the markers seen, that must be near their virtual ones for the body not to count as lost."""
 _SMALLEST_VARIANCE = 0.25
+_WARM_UP_INTERVAL_NS, _WARM_UP_MARKERS = 10_000_000, 4
+"""Between frames; on each segment."""
 
 
 Renamed = tuple[tuple[int, int], ...]
@@ -243,3 +246,24 @@ def _with_names(frame: MarkerFrame, renamed: Renamed, virtual: FloatArray) -> Fl
 def _is_good(pose: Pose, observed: FloatArray) -> bool:
     seen = np.isfinite(observed).all(axis=1).sum()
     return bool((pose.weights > ACCEPTED).sum() >= _GOOD_SHARE * seen)
+
+
+@functools.cache
+def warm_up() -> None:
+    """Compile what a stream of markers needs, before the first of them comes.
+
+    A chain of two segments is seen standing still until its angular rates are known.
+
+    Kernels are compiled for kinds of arrays, not for their sizes: any body has its own then. The first call
+    after an installation takes about 25 s, the first of a process under a second, others nothing.
+    """
+    offsets = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0]])
+    body = Skeleton("warm_up", ("upper", "lower"), np.array([-1, 0]), offsets, np.roll(offsets, -1, axis=0))
+    segments = np.repeat([0, 1], _WARM_UP_MARKERS)
+    places = np.random.default_rng(0).normal(0.0, 0.1, (len(segments), 3))
+    labels = tuple(f"m{i}" for i in range(len(segments)))
+    markers = BodyMarkers(labels, segments, places, np.full(len(segments), 0.005))
+    reconstructor = OpticalReconstructor(body, markers)
+    seen = places + offsets[segments]
+    for frame in range(WINDOW + 1):
+        reconstructor.update(MarkerFrame(frame, frame * _WARM_UP_INTERVAL_NS, seen))
