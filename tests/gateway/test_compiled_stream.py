@@ -333,7 +333,7 @@ def loses_an_entry(real, *arguments):
 def changes_the_last_bit(real, *arguments):
     at, n_samples, n_events = real(*arguments)
     if n_samples:
-        samples = arguments[7]["measured"]
+        samples = arguments[6]["measured"]
         samples[n_samples - 1, 0, 2] = np.nextafter(samples[n_samples - 1, 0, 2], 0.0)
     return at, n_samples, n_events
 
