@@ -192,7 +192,7 @@ def _shared(
 def _enter_known(
     known: FloorForces, segments: list[int], force: FloatArray, moment: FloatArray, source: NDArray[np.uint8]
 ) -> None:  # fmt: skip
-    """What was measured, into the arrays; changes them."""
+    """Enter measured forces into arrays by ``segments``, in place."""
     for k, segment in enumerate(known.segments.tolist()):
         c = segments.index(segment)
         measured = known.source[:, k] == ForceSource.MEASURED

@@ -107,5 +107,5 @@ def sole_paths(
 
 
 def floor_height(paths: FloatArray) -> float:
-    """Of the floor under soles (F, P, 3), m: what their lowest point hardly ever goes below."""
+    """Return the height of the floor under soles (F, P, 3), m: their lowest point hardly ever goes below."""
     return float(np.percentile(paths[..., 2].min(axis=1), _FLOOR_PERCENTILE)) if paths.size else 0.0

@@ -29,7 +29,9 @@ class GaitEvent(NamedTuple):
 
 
 def gait_events(skeleton: Skeleton, floor: FloorForces, time_s: FloatArray) -> list[GaitEvent]:
-    """In the order of time. A foot that stands when the motion begins or ends strikes or lifts off at no time
+    """Return strikes and offs in the order of time.
+
+    A foot that stands when the motion begins or ends strikes or lifts off at no time
     that is known; so does one whose force before or after is not known."""
     found = []
     for c, segment in enumerate(floor.segments.tolist()):

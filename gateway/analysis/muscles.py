@@ -73,7 +73,9 @@ def find_muscles(
     costs: Callable[[MusclePaths], MuscleCosts] | None = None,
     progress: Progress | None = None,
 ) -> MuscleResult:
-    """costs: of the muscles that the body carries; None: all alike.
+    """Return what muscles would make the torques of an analysis.
+
+    costs: of the muscles that the body carries; None: all alike.
 
     Raises ``GatewayError`` for a body without legs, or without the extra ``biomech``.
     """

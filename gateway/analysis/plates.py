@@ -153,7 +153,7 @@ def _nobodys(number: int, begin_s: float, end_s: float, away_m: float) -> str:
 
 
 def _zeroed(plate: ForcePlate, rate_hz: float) -> ForcePlate:
-    """Less what the plate shows when hardly anything is on it; as it is if that is never for long."""
+    """Return the plate less what it shows while empty; as it is if that is never for long."""
     is_empty = np.abs(plate.force).max(axis=1) < _EMPTY_N
     if is_empty.sum() < _SHORTEST_STEP_S * rate_hz:
         return plate
@@ -196,7 +196,7 @@ def _is_beside(sole: FloatArray, corners: FloatArray) -> bool:
 
 
 def _nearest_foot(pressure: FloatArray, middles: FloatArray) -> tuple[int, float]:
-    """Index of the foot whose sole is nearest to the pressure over a step, and how far it is, m."""
+    """Return which foot's sole is nearest to the pressure over a step, and how far it is, m."""
     away = np.linalg.norm(pressure[:, None, :2] - middles[..., :2], axis=-1)
     mean = np.nanmean(away, axis=0)
     nearest = int(np.argmin(mean))

@@ -44,7 +44,7 @@ def write_tables(found: Analysis, muscles: MuscleResult | None, folder: Path, ki
 
 
 def tables(found: Analysis, muscles: MuscleResult | None = None) -> dict[str, Columns]:
-    """By name of the file: columns (F,) by name."""
+    """Return the tables by name of the file: columns (F,) by name."""
     made = {
         "joints": _joints(found),
         "segments": _segments(found),

@@ -61,7 +61,10 @@ def _is_held(motion: SmoothMotion, dynamics: Dynamics) -> bool:
 
 
 def _left_over(dynamics: Dynamics, weight_n: float, is_explained: bool) -> list[str]:
-    """is_explained: whether floor forces ought to explain the whole motion."""
+    """Return sentences on what no force explains.
+
+    is_explained: whether floor forces ought to explain the whole motion.
+    """
     left = np.linalg.norm(dynamics.residual_force, axis=1)
     rms = float(np.sqrt(np.mean(left**2)))
     notes = [

@@ -58,7 +58,7 @@ def side(force: FloatArray, rate: FloatArray, R_es: FloatArray, interval_s: floa
 
 
 def _smoothed(values: FloatArray) -> FloatArray:
-    """Twice a running mean: (n, 3) to the same shape."""
+    """Return values (n, 3) after a running mean, twice."""
     kernel = np.convolve(np.full(_SMOOTH // 2 + 1, 1.0), np.full(_SMOOTH // 2 + 1, 1.0))
     kernel /= kernel.sum()
     pad = len(kernel) // 2

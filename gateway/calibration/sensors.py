@@ -170,7 +170,7 @@ def _accelerometer_quality(fit: EllipsoidFit, positions: FloatArray, gravity: fl
 
 
 def magnetometer_ellipsoid(readings: FloatArray, strength: float) -> EllipsoidResult:
-    """Hard and soft iron from readings (n, 3) µT of a module turned in all directions.
+    """Return hard and soft iron from readings (n, 3) µT of a module turned in all directions.
 
     strength: of the undisturbed field, µT. Raises ``ValueError`` when the module was hardly turned.
     """

@@ -330,7 +330,7 @@ class LiveCrowd:
             self._crowd.enter()
 
     def _found(self, row: int, instant: CameraInstant) -> list[tuple[Person, int]]:
-        """Whom a camera has found by itself and nobody is known to be, with its number for them."""
+        """Return whom a camera has found by itself and nobody is known to be, with its number for them."""
         known = {each.found.get(row) for each in self._tracked}
         numbers = {each.ordered_number for each in self._tracked}
         found = []

@@ -208,7 +208,7 @@ class FollowingCameras:
     def __init__(
         self, names: Sequence[str], network: PoseNetwork, detector: Detector[Picture], most: int
     ) -> None:
-        """names: of the cameras, one or two. most: people at once."""
+        """Follow nobody yet. names: of the cameras, one or two. most: people at once."""
         self._network = network
         self._followers = {name: follower_of(network, detector, most) for name in names}
 

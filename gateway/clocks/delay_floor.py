@@ -70,7 +70,7 @@ class DelayFloor:
             self._mean_delay_us = _MEAN_DELAY_US
 
     def rebase(self) -> None:
-        """Module time is counted from anew, and the floor is what it was."""
+        """Count module time anew from here; the floor stays what it was."""
         if self._time_us is not None:
             self._time_us = 0
             self._remember()

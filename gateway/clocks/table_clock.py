@@ -54,7 +54,7 @@ class TableClock:
         return self._counter.restarts
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
-        """Gateway time of a sample, ns, from the module's counter (µs) and the packet's arrival."""
+        """Return the gateway time, ns, of a sample, from the module's counter and the packet's arrival."""
         expected_us = self._start_us + self._counts_per_us * self._estimate.count_us(arrived_ns)
         full_us = self._counter.full_us(module_time_us, int(expected_us), arrived_ns)
         # The counter began anew: offsets of before hold no longer, the rate does.
@@ -89,7 +89,7 @@ class TableClock:
         return self._estimate.count_us(time_ns)
 
     def instant_ns(self, corrected_us: float) -> int:
-        """Gateway time of a reference time since the start."""
+        """Return the gateway time, ns, of a reference time since the start."""
         return self._estimate.instant_ns(round(corrected_us))
 
     def figures(self) -> ClockFigures:

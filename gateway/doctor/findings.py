@@ -42,7 +42,7 @@ def warning(subject: str, found: str, remedy: str) -> Finding:
 
 
 def bad(subject: str, found: str, remedy: str) -> Finding:
-    """Will not work."""
+    """Return a finding of something that will not work."""
     return Finding(subject, Verdict.BAD, found, remedy)
 
 

@@ -36,7 +36,7 @@ class DemoFleet:
     """Brokers and gateways, ended on leaving. Everything lies in one folder, which the caller removes."""
 
     def __init__(self, folder: Path, wanted: DemonstrationPlan) -> None:
-        """Raises ``GatewayError`` without the extra."""
+        """Prepare a demonstration, not started. Raises ``GatewayError`` without the extra."""
         self.names = [f"gw{number:03d}" for number in range(1, wanted.gateways + 1)]
         self._folder = folder
         self._wanted = wanted

@@ -145,7 +145,7 @@ class Fleet:
     """All gateways that were heard."""
 
     def __init__(self, base_topic: str = "mocap", wearers: Mapping[str, str] | None = None) -> None:
-        """wearers: who wears the suit of a gateway, by its name."""
+        """Know no gateway yet. wearers: who wears the suit of a gateway, by its name."""
         self.gateways: dict[str, SeenGateway] = {}
         self._topics = Topics(base_topic, ANY_GATEWAY)
         self._wearers = dict(wearers or {})

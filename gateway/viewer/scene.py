@@ -111,7 +111,7 @@ class BodyScene:
             self._figure.show(not self.shows_bones)
 
     def show_axes(self, is_wanted: bool) -> None:
-        """Segment axes, or none."""
+        """Show the segments' axes, or hide them."""
         self._axes.visible = is_wanted
 
     def draw(
@@ -272,7 +272,7 @@ class Figure:
         self._draw_shades(posture, p_w)
 
     def _draw_shades(self, posture: DrawnPose, p_w: FloatArray) -> None:
-        """Smaller as the foot is lifted. The floor is at zero."""
+        """Draw the shade of each foot on the floor, at zero: smaller as the foot is lifted."""
         soles = self._parts.soles
         ahead = [quaternion.rotate(posture.q_wb[s], np.array([0.06, 0.0, 0.0])) for s in soles]
         below = p_w[soles] + ahead

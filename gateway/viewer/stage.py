@@ -127,7 +127,7 @@ class ViewerStage:
         return np.array([*(far * toward + aside), up]), np.array([*aside, _MIDDLE_M - lower])
 
     def show_dark(self, is_dark: bool) -> None:
-        """Dark or light, on all pages."""
+        """Show all pages in the dark or in the light."""
         if is_dark == self._is_dark:
             return
         self._is_dark = is_dark

@@ -416,7 +416,11 @@ def _largest_stray(seen: FloatArray) -> float:
 def _begun(
     model: BodyModel, seen: FloatArray, axes: FloatArray, root: FloatArray, skeleton: Skeleton, name: str
 ) -> Pose:
-    """From where rules find the body; from the markers alone where those do not know all of it."""
+    """Return the pose that the fit begins from.
+
+    It is that of the rules; where these do not know all of the body, that of the markers alone.
+    seen: (M, 3) m; axes: (S, 3, 3) segment to world and root: (3,) m, by the rules; name: of the trial.
+    """
     if np.isfinite(axes).all() and np.isfinite(root).all():
         return solve_pose(model, everyone(seen, _NEAR_AT_FIRST), axes, root, Held(axes), 30)
     pose = start_pose(model, seen, quaternion.to_matrix(skeleton.neutral))

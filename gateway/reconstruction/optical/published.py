@@ -110,7 +110,10 @@ def _one_pass(
 def _solve_chain(
     model: BodyModel, seen: FloatArray, R: FloatArray, root: FloatArray, chain: Chain
 ) -> tuple[FloatArray, FloatArray]:
-    """BFGS over the turns of a chain's joints, and the root's shift where the chain begins at the world."""
+    """Return a pose with one chain solved.
+
+    By BFGS over the turns of its joints, and over the root's shift where it begins at the world.
+    """
     n = 3 * len(chain.segments) + (3 if chain.moves_root else 0)
 
     def cost(x: FloatArray) -> tuple[float, FloatArray]:
@@ -172,7 +175,7 @@ def _smoothed(R: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def _nearest_log(vector: FloatArray, before: FloatArray) -> FloatArray:
-    """Of the rotation vectors of one rotation the one nearest the one before."""
+    """Return of the rotation vectors of one rotation the one nearest the one before; (3,) rad."""
     angle = float(np.linalg.norm(vector))
     if angle < 1e-9:
         return vector

@@ -152,7 +152,9 @@ class OpticalReconstructor:
         return self._solved(frame.time_ns, named.positions, pose.R, pose.root), tuple(sorted(both.items()))
 
     def _followed(self, frame: MarkerFrame) -> tuple[Pose | None, Renamed]:
-        """From the last pose, moved on as it was moving; no pose without one, or with too few markers.
+        """Return the pose found from the last one, moved on, and which markers had others' points.
+
+        None: there is no last pose, or there are too few markers.
 
         Names are questioned before the pose is sought: two markers that change places would else turn the
         segment that they sit on.
@@ -212,7 +214,7 @@ class OpticalReconstructor:
         )
 
     def _variance(self, pose: Pose) -> float:
-        """Of the residuals, in units of the markers' own σ²."""
+        """Return the variance of the residuals, in units of the markers' own σ²."""
         squares = np.nan_to_num(pose.residuals / self.model.sigmas) ** 2
         freedom = max(3.0 * pose.weights.sum() - len(pose.factor), 0.3 * pose.weights.sum(), 1.0)
         return max(float((pose.weights * squares).sum() / freedom), _SMALLEST_VARIANCE)

@@ -220,7 +220,7 @@ def _is_bent(model: BodyModel, row: int, pose: Pose) -> bool:
 
 
 def _settled(model: BodyModel, observed: FloatArray, R: FloatArray) -> Pose:
-    """From orientations (S, 3, 3), laid over the markers and then let loose."""
+    """Return the pose from orientations (S, 3, 3), laid over the markers (M, 3) m and then let loose."""
     turn, shift = rigid(model.markers_at(R, np.zeros(3)), observed)
     R, root = turn @ R, shift
     for scale in _SCALES:

@@ -112,7 +112,7 @@ def worn_part(marker_set: MarkerSet, labels: Collection[str], without: Collectio
 
 
 def _first_worn(marker_set: MarkerSet, point: str, labels: Collection[str]) -> list[PointRule]:
-    """Of the rules of a point those that rest on the markers of the first whose markers are worn.
+    """Return the rules of a point that rest on the markers of the first rule whose markers are worn.
 
     A landmark that one trial alone shows (a medial marker in the static trial) so holds for all: another rule
     would put the joint elsewhere in the others.

@@ -167,7 +167,7 @@ class KeypointTracker:
         return sighting
 
     def solve(self, sighting: Sighting, steps: int = _STEPS) -> None:
-        """Inverse kinematics from the last pose, which what is not seen is drawn to."""
+        """Find the pose by inverse kinematics from the last one, which what is not seen is drawn to."""
         assert self.pose is not None
         held = Held(self.pose.R, HELD_SIGMA**-2)
         goal = Goal(sighting.candidates, np.where(sighting.lost, 0.0, sighting.likelihood), held, self.floor)
