@@ -10,7 +10,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import aiomqtt
@@ -31,6 +31,8 @@ SILENT_S = 3.0
 MOST_LOSS = 0.01
 MOST_DELAY_S = 0.25
 MOST_GATEWAYS = 10_000
+MOST_MISSING = 20_000
+"""Numbers of poses that did not come, remembered of one gateway."""
 _HEAD = re.compile(rb'\{"t_ns":(-?\d{1,19}),"seq":(-?\d{1,19})[,}]')
 _MODULE = re.compile(r"module/(\d{1,3})/state")
 _ANNOUNCED = (topics.BRIDGE_INFO, topics.BODY, topics.BRIDGE_STATE)
@@ -137,10 +139,6 @@ class SeenGateway:
         self.info = info
 
 
-MOST_MISSING = 20_000
-"""Numbers remembered of one gateway."""
-
-
 class Fleet:
     """All gateways that were heard."""
 
@@ -232,7 +230,7 @@ class Fleet:
             firmware=tuple(sorted(set(seen.firmware.values()))),
             alerts=(),
         )
-        return OverviewRow(**{**asdict(row), "alerts": tuple(_alerts(row, seen, now_s, usual))})
+        return replace(row, alerts=tuple(_alerts(row, seen, now_s, usual)))
 
 
 def _alerts(row: OverviewRow, seen: SeenGateway, now_s: float, usual: str | None) -> list[str]:
