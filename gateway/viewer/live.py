@@ -21,7 +21,6 @@ from gateway.viewer.assistant import Assistant
 from gateway.viewer.body_steps import BodySteps
 from gateway.viewer.check_tab import CheckTab
 from gateway.viewer.companions import Companions, people_of, room_of
-from gateway.viewer.live_body import LiveBody
 from gateway.viewer.live_markers import LiveMarkers
 from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import (
@@ -36,9 +35,10 @@ from gateway.viewer.pace import pictures
 from gateway.viewer.page_requests import PageRequests
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.pose_table import STALE_AFTER_S, PoseView
-from gateway.viewer.posture import DrawnPose
+from gateway.viewer.posture import skeleton_of
 from gateway.viewer.replaying import ReplayedTake
 from gateway.viewer.sensor_tab import SensorTab
+from gateway.viewer.shown_body import ShownBody
 from gateway.viewer.stage import ViewerStage
 from gateway.viewer.takes import TakesTab
 from gateway.viewer.trail import Trail
@@ -87,7 +87,8 @@ class LiveViewer:
         self._was_stale = False
         self._was_red: frozenset[str] = frozenset()
 
-        self._body: LiveBody | None = None
+        self._message: BodyMessage | None = None
+        self._body: ShownBody | None = None
         """None until the gateway has published it."""
         self._worn: frozenset[str] = frozenset()
 
@@ -197,13 +198,14 @@ class LiveViewer:
 
     def _take_body(self, message: BodyMessage | None) -> None:
         """Build the body anew if the gateway publishes another one."""
-        if message is None or (self._body is not None and message == self._body.message):
+        if message is None or message == self._message:
             return
         if self._body is not None:
             self._body.remove()
         clicked = None if self._assistant is None else self._assistant.choose_segment
-        self._body = body = LiveBody(self._server, self._stage, message, clicked)
-        self._drawn = None
+        self._body = body = ShownBody(self._server, self._stage, skeleton_of(message), clicked)
+        self._message, self._drawn = message, None
+        body.draw_before_any()
         self._panel.parents = {each.name: each.parent for each in message.segments if each.parent is not None}
         if self._body_steps is not None:
             self._body_steps.look()
@@ -234,7 +236,7 @@ class LiveViewer:
 
         time_s = latest.pose.t_ns * 1e-9
         posture = body.take(latest.pose, self._undrawn)
-        self._look_at(posture, time_s)
+        body.bring_into_view(self._panel, posture, time_s)
         body.scene.draw(posture, is_stale, self._silent(), red)
         self._trail.draw(self._panel.trail.value, time_s, posture.place)
         body.draw_muscles(posture, time_s)
@@ -259,25 +261,14 @@ class LiveViewer:
         now_s = self._loop.time()
         pose = take.at(now_s)
         posture = self._body.take(pose)
-        self._look_at(posture, now_s)
+        self._body.bring_into_view(self._panel, posture, now_s)
         self._body.scene.draw(posture, is_stale=False)
         self._panel.add_pose(pose)
 
-    def _look_at(self, posture: DrawnPose, time_s: float) -> None:
-        """Bring the view to a body, from the side that was chosen."""
-        if self._panel.follow.value:
-            self._stage.follow(posture.place, time_s)
-        self._stage.face(posture.q_wb[0])
-
     def _take_choices(self) -> None:
         self._stage.show_dark(not self._panel.light.value)
-        if self._body is None:
-            return
-        scene = self._body.scene
-        scene.show_axes(self._panel.axes.value)
-        scene.show_bones(self._panel.bones.value or self._body.has_muscles)
-        scene.shows_names = self._panel.names.value
-        scene.language = self._panel.language
+        if self._body is not None:
+            self._body.take_choices(self._panel)
 
     def _show_texts(self, poses: PoseSubscriber) -> None:
         health = poses.healths.get(self._gateway)

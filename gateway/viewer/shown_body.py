@@ -1,4 +1,4 @@
-"""A published body on the page: its scene, its last known posture, and its muscles where they are wanted."""
+"""A body on the page: its scene, its last known posture, and its muscles where they are wanted."""
 
 from __future__ import annotations
 
@@ -7,37 +7,37 @@ from collections.abc import Callable
 
 import viser
 
-from gateway.contract.messages import BodyMessage, PoseMessage
+from gateway.body.skeleton import Skeleton
+from gateway.contract.messages import PoseMessage
+from gateway.frames import FloatArray
 from gateway.outputs.subscriber import ReceivedPose
 from gateway.viewer.muscle_wires import MuscleWires, muscle_wires
-from gateway.viewer.posture import DrawnPose, PostureKeeper, skeleton_of
+from gateway.viewer.panel import Panel
+from gateway.viewer.posture import DrawnPose, PostureKeeper
 from gateway.viewer.scene import BodyScene
 from gateway.viewer.stage import ViewerStage
 
 
-class LiveBody:
-    """Drawn in the neutral posture until the first pose comes."""
+class ShownBody:
+    """The body that a page is about; others beside it have a scene alone."""
 
     def __init__(
         self,
         server: viser.ViserServer,
         stage: ViewerStage,
-        message: BodyMessage,
-        clicked: Callable[[str], None] | None,
+        skeleton: Skeleton,
+        clicked: Callable[[str], None] | None = None,
     ) -> None:
-        """Draw the body. clicked: called with a segment that is clicked upon."""
-        self.message = message
-        self.skeleton = skeleton_of(message)
-        self.scene = BodyScene(server, stage, self.skeleton, clicked)
+        """Add the body, without muscles. clicked: called with a segment that is clicked upon."""
+        self.skeleton = skeleton
+        self.scene = BodyScene(server, stage, skeleton, clicked)
         self._server, self._stage = server, stage
-        self._keeper = PostureKeeper(self.skeleton)
+        self._keeper = PostureKeeper(skeleton)
         self._wires: MuscleWires | None = None
-        self.scene.draw(self._keeper.before_any(), is_stale=True)
 
-    @property
-    def has_muscles(self) -> bool:
-        """Whether muscles are shown."""
-        return self._wires is not None
+    def draw_before_any(self) -> None:
+        """Draw the neutral posture, for the time before the first pose."""
+        self.scene.draw(self._keeper.before_any(), is_stale=True)
 
     def show_muscles(self, body_kg: float | None, language: str) -> None:
         """Show the muscles of a person of that mass; None: none.
@@ -58,6 +58,13 @@ class LiveBody:
         if self._wires is not None:
             self._wires.remove()
 
+    def take_choices(self, panel: Panel) -> None:
+        """Show of the body what is chosen on the panel."""
+        self.scene.show_axes(panel.axes.value)
+        self.scene.show_bones(panel.bones.value or self._wires is not None)
+        self.scene.shows_names = panel.names.value
+        self.scene.language = panel.language
+
     def take(self, pose: PoseMessage, undrawn: deque[ReceivedPose] | None = None) -> DrawnPose:
         """Return a pose as it is to be drawn.
 
@@ -68,8 +75,19 @@ class LiveBody:
             earlier = undrawn.popleft().pose
             if earlier is not pose:
                 posture = self._keeper.take(earlier)
-                self._wires.add(earlier.t_ns * 1e-9, posture.q_wb, posture.place)
+                self.add_to_muscles(earlier.t_ns * 1e-9, posture.q_wb, posture.place)
         return self._keeper.take(pose)
+
+    def add_to_muscles(self, time_s: float, q_wb: FloatArray, root: FloatArray) -> None:
+        """Have muscles take a pose that is not drawn: q_wb (S, 4), root (3,) m, world."""
+        if self._wires is not None:
+            self._wires.add(time_s, q_wb, root)
+
+    def bring_into_view(self, panel: Panel, posture: DrawnPose, time_s: float) -> None:
+        """Bring the view to the body, if that is chosen on the panel. time_s: instant of the pose."""
+        if panel.follow.value:
+            self._stage.follow(posture.place, time_s)
+        self._stage.face(posture.q_wb[0])
 
     def draw_muscles(self, posture: DrawnPose, time_s: float) -> None:
         """Draw the muscles, if there are any. time_s: instant of the pose."""
