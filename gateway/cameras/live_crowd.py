@@ -14,12 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from devices.cameras.heat_map_messages import (
-    HeatMapMessage,
-    HeatMapReceiver,
-    encode_heat_maps,
-    quantised,
-)
+from devices.cameras.heat_map_messages import HeatMapReceiver
 from devices.link import Chunk
 from gateway.body.camera import Camera, project
 from gateway.body.skeleton import VideoSetUp, WornSuit
@@ -35,7 +30,7 @@ from gateway.reconstruction.video.networks.weights import keypoint_set_of
 from gateway.reconstruction.video.reconstructor import VideoReconstructor, worn_person
 from gateway.reconstruction.video.region import peaks
 from gateway.reconstruction.video.tracker import KeypointTracker
-from gateway.sources.heat_maps import CameraInstant, CameraInstants, KnownCameras, heat_maps_of
+from gateway.sources.heat_maps import CameraInstant, CameraInstants, KnownCameras, encoded_maps, heat_maps_of
 
 AHEAD = 2
 """Pictures from a pose to those that its orders are for: while the pose of one instant is found, the cameras
@@ -55,7 +50,6 @@ _WITHIN_M = 0.3
 """Median distance of keypoints under which somebody is led by another one's, and is not where they seem."""
 _NEAR = 0.5
 """Distance of hips, in sizes of a person, under which a camera shows somebody who is known already."""
-_NOWHERE = np.zeros((2, 3))
 
 
 @dataclass
@@ -245,18 +239,10 @@ class LiveCrowd:
     def _encoded(self, frame: HeatMapFrame, instant: CameraInstant) -> list[bytes]:
         """Return the messages of all cameras, those too that sent nothing, so that nobody waits for them."""
         time_ns = instant.messages[min(instant.messages)][0].time_ns
-        messages = (
-            HeatMapMessage(
-                camera=camera.name,
-                network=self._video.network,
-                sequence=frame.sequence,
-                time_ns=time_ns,
-                likelihood=None if maps is None else quantised(maps.likelihood),
-                map_from_pixel=_NOWHERE if maps is None else maps.map_from_pixel,
-            )
+        return [
+            encoded_maps(camera.name, self._video.network, frame.sequence, time_ns, maps)
             for camera, maps in zip(self._cameras, frame.cameras, strict=True)
-        )
-        return [encode_heat_maps(message) for message in messages]
+        ]
 
     def _parted(self) -> list[int]:
         """Forget whoever is gone, is somebody else, or was nobody; return the numbers of those who had

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from gateway.body.camera import Camera, project
 from gateway.body.joint_angles import posture
 from gateway.body.markers import BodyMarkers
@@ -19,6 +18,7 @@ from gateway.reconstruction.video.inverse_kinematics import video_body
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.proportions import PARTS, sized, standard_lengths
 from gateway.reconstruction.video.region import PersonRegion, person_region
+from gateway.sources.heat_maps import encoded_maps
 
 RATE_HZ = 60.0
 CELLS = 64
@@ -142,16 +142,7 @@ def messages_of(cameras: Sequence[Camera], keypoints: KeypointSet, person: Known
         frame = rendered(cameras, true_regions(cameras, keypoints, places), places[None], t)
         instants.append(
             [
-                encode_heat_maps(
-                    HeatMapMessage(
-                        camera=camera.name,
-                        network="full",
-                        sequence=t,
-                        time_ns=frame.time_ns,
-                        likelihood=quantised(maps.likelihood),
-                        map_from_pixel=maps.map_from_pixel,
-                    )
-                )
+                encoded_maps(camera.name, "full", t, frame.time_ns, maps)
                 for camera, maps in zip(cameras, frame.cameras, strict=True)
                 if maps is not None
             ]

@@ -9,7 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver
+from devices.cameras.heat_map_messages import (
+    HeatMapMessage,
+    HeatMapReceiver,
+    encode_heat_maps,
+    quantised,
+)
 from devices.link import Chunk
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.contract.balances import Balance
@@ -24,6 +29,8 @@ PATIENCE_NS = 250_000_000
 SILENT_NS = 1_000_000_000
 """A camera of which nothing has come for so long is not waited for."""
 
+_NOWHERE = np.zeros((2, 3))
+"""The map from pixels where there are no heat maps."""
 _MOST_LOGGED = 16
 """Different reasons for which messages are left out that are logged."""
 _BEGUN_ANEW = 8
@@ -225,6 +232,34 @@ def heat_map_frame(sequence: int, messages: Sequence[bytes]) -> HeatMapFrame:
     """Return a frame of one instant's messages, one per camera; its time is that of the first."""
     read = [HeatMapReceiver().receive(message)[0] for message in messages]
     return HeatMapFrame(sequence, read[0].time_ns, tuple(map(heat_maps_of, read)))
+
+
+def encoded_maps(
+    camera: str,
+    network: str,
+    sequence: int,
+    time_ns: int,
+    maps: CameraHeatMaps | None,
+    *,
+    person: int = 0,
+    following: int = 0,
+) -> bytes:
+    """Return the message of one person in one picture of a camera, whose inverse is ``heat_maps_of``.
+
+    maps: None: the person is not in the picture. person, following: as in ``HeatMapMessage``.
+    """
+    return encode_heat_maps(
+        HeatMapMessage(
+            camera=camera,
+            network=network,
+            sequence=sequence,
+            time_ns=time_ns,
+            likelihood=None if maps is None else quantised(maps.likelihood),
+            map_from_pixel=_NOWHERE if maps is None else maps.map_from_pixel,
+            person=person,
+            following=following,
+        )
+    )
 
 
 def heat_maps_of(message: HeatMapMessage | None) -> CameraHeatMaps | None:
