@@ -6,7 +6,7 @@ import contextlib
 import json
 from dataclasses import replace
 from enum import StrEnum
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -88,18 +88,17 @@ def export(
         recording = open_recording(file)
         arrays = smoothed_arrays(recording, progress) if smooth else recording.skeleton_arrays(progress)
 
-    takes: dict[tuple[Axes, bool], Take] = {}
+    @cache  # resampling takes longer than writing: formats with the same axes share one take
+    def taken(wanted: Axes, as_recorded: bool) -> Take:
+        take = take_of(arrays, file.stem, wanted, recording, as_recorded=as_recorded)
+        return replace(take, mass_kg=mass)
+
     written, notes = [], []
     with progress_bar("writing", is_shown=not as_json) as progress:
         for done, (name, path) in enumerate(files.items()):
             progress(done, len(files))
             wanted, per_m = _form(name, axes, unit)
-            as_recorded = FORMATS[name].as_recorded
-            if (wanted, as_recorded) not in takes:
-                # Resampling takes longer than writing: formats with the same axes share one take.
-                take = take_of(arrays, file.stem, wanted, recording, as_recorded=as_recorded)
-                takes[wanted, as_recorded] = replace(take, mass_kg=mass)
-            take = takes[wanted, as_recorded]
+            take = taken(wanted, FORMATS[name].as_recorded)
             notes.append(FORMATS[name].write(take, path, per_m))
             written.append(_summary_of(name, path, take, per_m))
 
