@@ -19,7 +19,6 @@ plus log-likelihood (Laplace's approximation).
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -39,24 +38,6 @@ _ITERATIONS = 30
 _SHORTEST_STEP = 1e-9
 _GAIN = 3e-3  # of the log posterior: less is not worth another iteration
 _FAR, _NEAR = 20.0, 3.0
-
-
-class _Prior(NamedTuple):
-    """What is known of offset and rate before a block."""
-
-    x: FloatArray  # (2,) c µs, r ppm
-    A: FloatArray  # (2, 2) inverse covariance
-
-
-class _Delays(NamedTuple):
-    """The n packets of a block."""
-
-    t: FloatArray  # (n,) s before the state's time, <= 0
-    d: FloatArray  # (n,) arrival − module time, µs
-    weight: FloatArray  # (n,)
-    m: float  # mean delay above the floor, µs
-    slot: float  # µs
-    corner: float  # µs, how sharp the floor is
 
 
 @compiled
@@ -97,14 +78,15 @@ def _log_packet(u: float, m: float, slot: float, corner: float) -> float:
 
 
 @compiled
-def _log_posterior(c: float, r: float, prior: _Prior, delays: _Delays) -> float:
-    """Return the log posterior of a line, up to a constant."""
-    A, t, d = prior.A, delays.t, delays.d
-    dc, dr = c - prior.x[0], r - prior.x[1]
+def _log_posterior(
+    c: float, r: float, x: FloatArray, A: FloatArray, t: FloatArray, d: FloatArray, weight: FloatArray,
+    m: float, slot: float, corner: float,
+) -> float:  # fmt: skip
+    dc, dr = c - x[0], r - x[1]
     total: float = -0.5 * (A[0, 0] * dc * dc + 2.0 * A[0, 1] * dc * dr + A[1, 1] * dr * dr)
     for k in range(len(t)):
         u = d[k] - c - r * t[k]
-        total += delays.weight[k] * _log_packet(u, delays.m, delays.slot, delays.corner)
+        total += weight[k] * _log_packet(u, m, slot, corner)
     return total
 
 
@@ -127,14 +109,16 @@ def predict(
 
 
 @compiled
-def _derivatives(c: float, r: float, prior: _Prior, delays: _Delays) -> tuple[FloatArray, FloatArray]:
+def _derivatives(
+    c: float, r: float, x: FloatArray, A: FloatArray, t: FloatArray, d: FloatArray, weight: FloatArray,
+    m: float, slot: float, corner: float,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Return the gradient (2,) of the log posterior and its information (2, 2) at a line."""
-    x, A, t, d, weight = prior.x, prior.A, delays.t, delays.d, delays.weight
     g, H = np.empty(2), A.copy()
     g[0] = -(A[0, 0] * (c - x[0]) + A[0, 1] * (r - x[1]))
     g[1] = -(A[0, 1] * (c - x[0]) + A[1, 1] * (r - x[1]))
     for k in range(len(t)):
-        _, slope, information, _ = _packet(d[k] - c - r * t[k], delays.m, delays.slot, delays.corner)
+        _, slope, information, _ = _packet(d[k] - c - r * t[k], m, slot, corner)
         g[0] -= weight[k] * slope
         g[1] -= weight[k] * slope * t[k]
         H[0, 0] += weight[k] * information
@@ -155,10 +139,12 @@ def _inverse(M: FloatArray) -> FloatArray:
 
 
 @compiled
-def _reach(step_c: float, step_r: float, c: float, r: float, delays: _Delays) -> float:
+def _reach(
+    step_c: float, step_r: float, c: float, r: float, t: FloatArray, d: FloatArray, corner: float
+) -> float:
     """Return what part of a step stays on the possible side: with no packet near the line nothing else bounds
     it."""
-    reach, t, d, corner = 1.0, delays.t, delays.d, delays.corner
+    reach = 1.0
     for k in range(len(t)):
         u, fall = d[k] - c - r * t[k], step_c + step_r * t[k]
         if fall > 0.0 and u > -_NEAR * corner:
@@ -167,20 +153,23 @@ def _reach(step_c: float, step_r: float, c: float, r: float, delays: _Delays) ->
 
 
 @compiled
-def _most_likely(prior: _Prior, delays: _Delays, c: float, r: float) -> tuple[FloatArray, FloatArray]:
+def _most_likely(
+    x: FloatArray, A: FloatArray, t: FloatArray, d: FloatArray, weight: FloatArray, c: float, r: float,
+    m: float, slot: float, corner: float,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Return state (2,) and covariance (2, 2) by Newton's method from a line; a step that loses is
     shortened."""
-    value = _log_posterior(c, r, prior, delays)
-    P = _inverse(prior.A)
+    value = _log_posterior(c, r, x, A, t, d, weight, m, slot, corner)
+    P = _inverse(A)
     for _ in range(_ITERATIONS):
-        g, H = _derivatives(c, r, prior, delays)
+        g, H = _derivatives(c, r, x, A, t, d, weight, m, slot, corner)
         P = _inverse(H)
         step_c, step_r = P[0, 0] * g[0] + P[0, 1] * g[1], P[0, 1] * g[0] + P[1, 1] * g[1]
-        scale, gained = _reach(step_c, step_r, c, r, delays), -1.0
+        scale, gained = _reach(step_c, step_r, c, r, t, d, corner), -1.0
         is_whole = scale == 1.0
         while gained < 0.0 and scale > _SHORTEST_STEP:
             near_c, near_r = c + scale * step_c, r + scale * step_r
-            trial = _log_posterior(near_c, near_r, prior, delays)
+            trial = _log_posterior(near_c, near_r, x, A, t, d, weight, m, slot, corner)
             gained = trial - value
             if gained >= 0.0:
                 c, r, value = near_c, near_r, trial
@@ -221,7 +210,7 @@ def update(
     for k in range(n):
         is_held_up = d[k] - c - x[1] * t[k] > OUTAGE * m + slot
         weight[k] = TRUST * (OUTAGE_WEIGHT if is_held_up else 1.0)
-    out_x, out_P = _most_likely(_Prior(x, _inverse(P)), _Delays(t, d, weight, m, slot, corner), c, x[1])
+    out_x, out_P = _most_likely(x, _inverse(P), t, d, weight, c, x[1], m, slot, corner)
     score = mean = 0.0
     for k in range(n):
         u = d[k] - out_x[0] - out_x[1] * t[k]
