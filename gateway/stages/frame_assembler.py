@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from gateway.frames import INERTIAL_SAMPLE, ImuFrame, LightReading, LocalReading
 from gateway.geometry.compiled import for_types_of
-from gateway.stages.frame_grid import GRID, MODULE, PASSED, Assembly, new_block, new_rings, take
+from gateway.stages.frame_grid import GRID, MODULE, PASSED, new_block, new_rings, take
 
 _BLOCK = 64
 """Frames that room is made for at once."""
@@ -73,15 +73,15 @@ class FrameAssembler:
         self.taken = 0
         """Readings that a frame can be made from."""
         self._module_ids = module_ids
-        self._assembly = Assembly(
-            _new_grid(params), _new_modules(module_ids), new_rings(n), np.zeros(_PASSED_AT_FIRST, PASSED)
-        )
+        self._grid, self._modules, self._rings = _new_grid(params), _new_modules(module_ids), new_rings(n)
+        self._passed = np.zeros(_PASSED_AT_FIRST, PASSED)
         self._block, self._used = new_block(_BLOCK, n), 0
         """Frames are views of it; when it is full another takes its place."""
         self._sequence = 0
         self._local: deque[LocalReading] = deque()
         self._light: deque[LightReading] = deque()
-        self._take = for_types_of(take, self._assembly, np.zeros(0, INERTIAL_SAMPLE), 0, 0, self._block, 0)
+        state = self._grid, self._modules, self._rings, self._passed
+        self._take = for_types_of(take, *state, np.zeros(0, INERTIAL_SAMPLE), 0, 0, 0, *self._block)
 
     @property
     def frames(self) -> int:
@@ -91,7 +91,7 @@ class FrameAssembler:
     @property
     def instants(self) -> int:
         """Grid points passed, with a frame or without."""
-        return int(self._assembly.grid["count"][0])
+        return int(self._grid["count"][0])
 
     def add_local(self, reading: LocalReading) -> None:
         """Keep a local measurement for the frame that comes next at or after its time."""
@@ -123,8 +123,9 @@ class FrameAssembler:
         while True:
             begin = self._used
             index, self._used, taken, lost = self._take(
-                self._assembly, samples, index, arrived_ns, self._block, begin
-            )
+                self._grid, self._modules, self._rings, self._passed, samples, index, arrived_ns, begin,
+                *self._block,
+            )  # fmt: skip
             self.taken += taken
             if lost:
                 self._count_lost()
@@ -138,24 +139,21 @@ class FrameAssembler:
         """Allocate what was full: another block of frames, or a longer queue of arrivals."""
         if self._used == _BLOCK:
             self._block, self._used = new_block(_BLOCK, len(self._module_ids)), 0
-        grid, passed = self._assembly.grid, self._assembly.passed
-        if grid["n_passed"][0] == len(passed):
-            in_order = np.roll(passed, -int(grid["passed_begin"][0]))
-            longer = np.concatenate((in_order, np.zeros_like(in_order)))
-            self._assembly = self._assembly._replace(passed=longer)
-            grid["passed_begin"] = 0
+        if self._grid["n_passed"][0] == len(self._passed):
+            in_order = np.roll(self._passed, -int(self._grid["passed_begin"][0]))
+            self._passed = np.concatenate((in_order, np.zeros_like(in_order)))
+            self._grid["passed_begin"] = 0
 
     def _count_lost(self) -> None:
         """Add to the counters what the kernel has counted since the last time."""
-        grid, modules = self._assembly.grid, self._assembly.modules
         for reason in _COUNTED:
-            count = int(grid[reason.name.lower()][0])
+            count = int(self._grid[reason.name.lower()][0])
             if count:
                 self.lost[reason] += count
-                grid[reason.name.lower()] = 0
-        for row in np.flatnonzero(modules["late"]):
-            self.late[self._module_ids[row]] += int(modules["late"][row])
-        modules["late"] = 0
+                self._grid[reason.name.lower()] = 0
+        for row in np.flatnonzero(self._modules["late"]):
+            self.late[self._module_ids[row]] += int(self._modules["late"][row])
+        self._modules["late"] = 0
 
     def _frames(self, begin: int) -> list[ImuFrame]:
         """Return the frames of the block from one on."""

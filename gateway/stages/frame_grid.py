@@ -1,9 +1,9 @@
 """Samples into rings, and instants of the grid out of them, a batch in one call. Compiled.
 
 ``FrameAssembler`` says what is asked of it; ``tests/gateway/plain_assembler.py`` is the same without a
-compiler, and both are held against each other. ``Assembly`` is all state: one ``GRID``, a ``MODULE`` for each
-module of the rig, a ring of the last samples of each. ``take`` goes through a batch and stops early where a
-block of instants is full, or ``passed``; called again with the sample that it names, it goes on.
+compiler, and both are held against each other. State has names: one ``GRID``, a ``MODULE`` for each module of
+the rig, a ring of the last samples of each. ``take`` goes through a batch and stops early where a block
+of instants is full, or ``passed``; called again with the sample that it names, it goes on.
 """
 
 from __future__ import annotations
@@ -71,15 +71,6 @@ INSTANT = np.dtype([("time_ns", np.int64), ("is_clipped", np.bool_)], align=True
 """A frame; is_clipped: a sensor of any module was at the end of its range."""
 
 
-class Assembly(NamedTuple):
-    """Parameters and state of one assembler of n modules."""
-
-    grid: NDArray[np.void]  # (1,) GRID
-    modules: NDArray[np.void]  # (n,) MODULE
-    rings: NDArray[np.void]  # (n, DEPTH) INERTIAL_SAMPLE
-    passed: NDArray[np.void]  # (p,) PASSED, a queue
-
-
 class InstantBlock(NamedTuple):
     """Room for T instants of n modules."""
 
@@ -110,15 +101,29 @@ def new_rings(n: int) -> NDArray[np.void]:
 
 @compiled
 def take(
-    assembly: Assembly, samples: NDArray[np.void], first: int, arrived_ns: int, block: InstantBlock, used: int
+    grids: NDArray[np.void],
+    modules: NDArray[np.void],
+    rings: NDArray[np.void],
+    passed: NDArray[np.void],
+    samples: NDArray[np.void],
+    first: int,
+    arrived_ns: int,
+    used: int,
+    instants: NDArray[np.void],
+    specific_force: FloatArray,
+    angular_rate: FloatArray,
+    magnetic_field: FloatArray,
+    status: StatusArray,
+    gap_ns: IntArray,
+    clipped: StatusArray,
 ) -> tuple[int, int, int, int]:
     """Take samples (k,) from ``first`` on, and write the instants that they complete after ``used`` others.
 
-    Returns the sample to go on with (k: all are taken), how many of the block are used now, how many samples
-    were kept, and how many samples and instants were lost.
+    grids: (1,) ``GRID``; modules: (n,) ``MODULE``; rings: (n, DEPTH); passed: a queue of ``PASSED``; the
+    others are the fields of an ``InstantBlock``. Returns the sample to go on with (k: all are taken), how
+    many of the block are used now, how many samples were kept, and how many samples and instants were lost.
     """
-    grid, modules, passed = assembly.grid[0], assembly.modules, assembly.passed
-    taken, lost = 0, 0
+    grid, taken, lost = grids[0], 0, 0
     for index in range(first, len(samples)):
         if not grid.is_interrupted:
             if grid.n_passed == len(passed):
@@ -128,19 +133,23 @@ def take(
                 grid.unknown_module += 1
                 lost += 1
                 continue
-            if not _store(grid, modules, assembly.rings[row], row, samples[index]):
+            if not _store(grid, modules, rings[row], row, samples[index]):
                 lost += 1
                 continue
             taken += 1
             lost += _note_arrival(grid, modules, passed, arrived_ns)
         if not grid.has_begun:
             continue
-        while used < len(block.instants) and _is_due(grid, modules, passed, arrived_ns):
-            _interpolate(assembly, block, used)
+        while used < len(instants) and _is_due(grid, modules, passed, arrived_ns):
+            instants[used].time_ns = grid.instant_ns
+            instants[used].is_clipped = _interpolate(
+                grid, modules, rings, specific_force[used], angular_rate[used], magnetic_field[used],
+                status[used], gap_ns[used], clipped[used],
+            )  # fmt: skip
             used += 1
             grid.last_instant_ns = grid.instant_ns
             _advance(grid, modules, passed, grid.count + 1)
-        grid.is_interrupted = used == len(block.instants)
+        grid.is_interrupted = used == len(instants)
         if grid.is_interrupted:
             return index, used, taken, lost
     return len(samples), used, taken, lost
@@ -296,23 +305,32 @@ def _bracket(ring: NDArray[np.void], head: int, sensor: int, instant_ns: int) ->
 
 
 @compiled
-def _interpolate(assembly: Assembly, block: InstantBlock, t: int) -> None:
-    """Write all modules at the next instant, by row, as instant t of the block.
+def _interpolate(
+    grid: Any,
+    modules: NDArray[np.void],
+    rings: NDArray[np.void],
+    specific_force: FloatArray,
+    angular_rate: FloatArray,
+    magnetic_field: FloatArray,
+    status: StatusArray,
+    gap_ns: IntArray,
+    clipped: StatusArray,
+) -> bool:
+    """Write all modules at the next instant, by row; returns whether a sensor was clipped.
 
     A module's status is that of the first sensor that it has, in the order of a sample's rows.
     """
-    grid, status, gap_ns, clipped = assembly.grid[0], block.status[t], block.gap_ns[t], block.clipped[t]
-    measured = block.specific_force[t], block.angular_rate[t], block.magnetic_field[t]
     is_clipped = False
-    for m in range(len(assembly.modules)):
-        ring, head = assembly.rings[m], assembly.modules[m].head
+    for m in range(len(modules)):
+        ring, head = rings[m], modules[m].head
         status[m], gap_ns[m], clipped[m], judged = _MISSING, 0, 0, False
         for sensor in range(3):
-            kind, span_ns = _value_at(grid, ring, head, sensor, measured[sensor][m], clipped[m : m + 1])
+            values = (specific_force, angular_rate, magnetic_field)[sensor][m]
+            kind, span_ns = _value_at(grid, ring, head, sensor, values, clipped[m : m + 1])
             if kind >= 0 and not judged:
                 status[m], gap_ns[m], judged = kind, span_ns, True
         is_clipped |= clipped[m] != 0
-    block.instants[t].time_ns, block.instants[t].is_clipped = grid.instant_ns, is_clipped
+    return is_clipped
 
 
 @compiled
