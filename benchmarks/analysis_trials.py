@@ -11,7 +11,7 @@ import numpy as np
 from devices.marker_files import MarkerTrial, read_c3d
 from devices.marker_files.force_plates import ForcePlates, read_force_plates
 from gateway.analysis.analysing import Analysis, MeasuredForces, analyse
-from gateway.analysis.floor import Source
+from gateway.analysis.floor import ForceSource
 from gateway.body.body_file import WorldSettings, worn_without_modules
 from gateway.body.inertia import BodyInertia, body_inertia
 from gateway.frames import FloatArray, IntArray
@@ -82,7 +82,7 @@ def on_plates(found: Analysis, side: str) -> IntArray:
     """(n,) frames in which a foot is on a plate."""
     names = found.skeleton.segment_names
     c = [names[s] for s in found.floor.segments].index(f"{side}_foot")
-    return np.flatnonzero(found.floor.source[:, c] == Source.MEASURED)
+    return np.flatnonzero(found.floor.source[:, c] == ForceSource.MEASURED)
 
 
 def rms(values: FloatArray) -> float:

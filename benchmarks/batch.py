@@ -16,7 +16,7 @@ from devices.emulators import SuitSettings, SuitTraffic
 from devices.emulators.imperfections import TYPICAL
 from devices.link import Chunk, Framing
 from devices.recording_writer import RecordingWriter, session_record
-from gateway.batch.job import Job, Outcome, Task
+from gateway.batch.job import Job, JobResult, Task
 from gateway.batch.running import jobs_in, run_jobs
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, move
@@ -31,7 +31,7 @@ SECONDS = 10.0
 SESSIONS = 8
 LINK = "suit"
 TASK = Task(("csv", "mcap"))
-Runner = Callable[[list[Job], Callable[[Job, Outcome], None]], None]
+Runner = Callable[[list[Job], Callable[[Job, JobResult], None]], None]
 
 
 def run() -> Report:
@@ -117,7 +117,7 @@ def _runners() -> list[tuple[str, int, Runner]]:
 
 
 def _dask(workers: int) -> Runner:
-    def perform(jobs: list[Job], done: Callable[[Job, Outcome], None]) -> None:
+    def perform(jobs: list[Job], done: Callable[[Job, JobResult], None]) -> None:
         with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster:
             run_jobs(jobs, done, dask=cluster.scheduler_address)
 
@@ -131,7 +131,7 @@ def _local(workers: int) -> Runner:
 def _timed(folder: Path, what: str, runner: Runner) -> tuple[float, str]:
     """Wall clock from the first to the last result, and the digest of all results."""
     results = folder / f"{what}-{time.monotonic_ns()}"
-    outcomes: list[Outcome] = []
+    outcomes: list[JobResult] = []
     begun = time.perf_counter()
     runner(jobs_in(folder / "sessions", results, TASK), lambda _job, outcome: outcomes.append(outcome))
     seconds = time.perf_counter() - begun

@@ -13,15 +13,15 @@ from benchmarks.figures import Figure, Report, table
 from devices.emulators.recording_formats import METAL_TABLE_S, read_ring_chain5
 from gateway.body.rig import load_rig
 from gateway.emulation.optical_reference import in_time
-from gateway.emulation.recordings import SCORED_AFTER_S, Part, imu_frames, totals
+from gateway.emulation.recordings import SCORED_AFTER_S, Excerpt, imu_frames, totals
 
 SHAKES = 1.5
 """m/s², of each axis and sample, white."""
 
 PARTS = (
-    *(Part("mid-motion", begins) for begins in (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)),
-    *(Part("shaken", begins, shakes=SHAKES) for begins in (0.0, 0.2, 0.4, 0.6)),
-    *(Part("half the rate", begins, every=2) for begins in (0.0, 0.3)),
+    *(Excerpt("mid-motion", begins) for begins in (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)),
+    *(Excerpt("shaken", begins, shakes=SHAKES) for begins in (0.0, 0.2, 0.4, 0.6)),
+    *(Excerpt("half the rate", begins, every=2) for begins in (0.0, 0.3)),
 )
 FIGURES = (
     ("rigid", "mid-motion", "<=0.5"),

@@ -20,9 +20,9 @@ from gateway.emulation.body_faults import (
     Run,
     doubtful_after_s,
     emulated,
+    fault_effect,
     is_finite,
     largest_step_deg,
-    outcome,
     reported_after_s,
     suit_with_position,
 )
@@ -95,7 +95,7 @@ def _module_table(report: Report, suit: WornSuit, calm: Run) -> None:
         finite &= is_finite(found)
         victims = [suit.skeleton.index(name) for name in case.worn_wrong or (VICTIM_SEGMENT,)]
         groups = (victims, *_others(suit, victims))
-        own, near, far = (outcome(found, calm, segments) for segments in groups)
+        own, near, far = (fault_effect(found, calm, segments) for segments in groups)
         worst_others = max(worst_others, far.worst_deg)
         agreement = _seconds(found.agreement.get(VICTIM_SEGMENT, np.nan))
         cells = [_seconds(reported_after_s(found, victims)), agreement]
@@ -127,7 +127,7 @@ def _ml_table(report: Report, suit: WornSuit, calm: Run) -> None:
         found = emulated(suit, case)
         finite &= is_finite(found)
         end_s = case.ends_s
-        whole, before = outcome(found, calm, everyone), _mean_sigma(found, BEGIN_S - 1.0, BEGIN_S)
+        whole, before = fault_effect(found, calm, everyone), _mean_sigma(found, BEGIN_S - 1.0, BEGIN_S)
         step = largest_step_deg(found, end_s, end_s + 5.0)
         worst_step = max(worst_step, step)
         rows.append([

@@ -13,7 +13,7 @@ from devices.emulators.bodies import EmulatedBody
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.body_session import BodySession
-from gateway.calibration.evidence import Readings, field_heading, pose_of, readings_of
+from gateway.calibration.evidence import EvenSamples, even_samples, field_heading, pose_of
 from gateway.frames import FloatArray
 
 HEADINGS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
@@ -40,7 +40,7 @@ def _add_simulation(report: Report) -> None:
         frames = imu_frames(suit, body, float(np.radians(heading)), seed)
         session = session_of(suit, frames)
         place = np.linalg.norm(suit.lever_arms - body.module_positions, axis=1)
-        readings = readings_of(frames, suit)
+        readings = even_samples(frames, suit)
         for name, facing in (("pose alone, facing east assumed", 0.0), ("pose alone, facing told", heading)):
             angles = _pose_only(session, readings, body, float(np.radians(facing)))
             found.setdefault(name, []).append((angles, place))
@@ -98,7 +98,7 @@ def _add_tables(
         )
 
 
-def _pose_only(session: BodySession, readings: Readings, body: EmulatedBody, facing: float) -> FloatArray:
+def _pose_only(session: BodySession, readings: EvenSamples, body: EmulatedBody, facing: float) -> FloatArray:
     """Error of ``q_bs`` by module, degrees, where the N-pose alone is taken for the neutral posture."""
     suit = session.suit
     neutral = Rotation.from_rotvec([0, 0, facing]) * Rotation.from_quat(

@@ -90,7 +90,7 @@ async def capture(
 ) -> list[SkeletonFrame]:
     """Poses of the whole run, from wire bytes. asks: time is asked for, as a running gateway does."""
     params = AssemblyParams(1e7, max_wait_ns=60_000_000, max_gap_ns=100_000_000, hold_ns=500_000_000)
-    pipeline = Pipeline(worn, params, "independent", mode, clock_table)
+    pipeline = Pipeline(worn, params, "independent", mode, clock_table=clock_table)
     pipeline.add_link(LINK, Framing.BYTE_STREAM)
     link = _EmulatedLink(SuitTraffic(motion, SuitSettings(), imperfections, SEED))
     sender = HostSender(pipeline.stream.sent, link.clock_ns)

@@ -11,7 +11,7 @@ import os
 from concurrent.futures import ProcessPoolExecutor
 
 from benchmarks.figures import Figure, Report, table
-from devices.emulators.faults.makers_campaign import LANGUAGES, Verdict
+from devices.emulators.faults.makers_campaign import LANGUAGES, MakersFindings
 from devices.emulators.faults.makers_campaign import run as run_campaign
 
 DAMAGED = 1_000_000
@@ -35,11 +35,11 @@ def run() -> Report:
     return report
 
 
-def _campaign(name: str) -> Verdict:
+def _campaign(name: str) -> MakersFindings:
     return run_campaign(LANGUAGES[name], DAMAGED, SEED)
 
 
-def _cells(verdict: Verdict) -> list[str]:
+def _cells(verdict: MakersFindings) -> list[str]:
     """Return the rates of a protocol, and the way of damage that it notices least."""
     shares = {way: verdict.corrupt[way] / count for way, count in verdict.damaged.items()}
     worst = max(shares, key=lambda way: shares[way])

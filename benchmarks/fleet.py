@@ -22,7 +22,7 @@ import psutil
 from benchmarks.figures import Figure, Report, table
 from gateway.contract import topics
 from gateway.fleet.cluster import NODES, READER, Node
-from gateway.fleet.demonstration import DemoFleet, Wanted
+from gateway.fleet.demonstration import DemoFleet, DemonstrationPlan
 from gateway.fleet.overview import Fleet, listener, take_into
 from gateway.outputs.connection import broker_connection, unique_identifier
 
@@ -119,7 +119,7 @@ def _held_rate(report: Report) -> tuple[float, _Load]:
         load_before = os.getloadavg()[0]
         with (
             tempfile.TemporaryDirectory() as folder,
-            DemoFleet(Path(folder), Wanted(GATEWAYS, rate_hz)) as fleet,
+            DemoFleet(Path(folder), DemonstrationPlan(GATEWAYS, rate_hz)) as fleet,
         ):
             received = ReceivedPoses(Fleet())
             reached, delay_ms, spent = asyncio.run(_steady(fleet, received))
@@ -201,7 +201,7 @@ async def _listening(fleet: DemoFleet, received: ReceivedPoses) -> AsyncIterator
 def _failures(report: Report, rate_hz: float) -> None:
     rows: list[list[str]] = []
     load = os.getloadavg()[0]
-    wanted = Wanted(GATEWAYS, rate_hz, is_cuttable=True)
+    wanted = DemonstrationPlan(GATEWAYS, rate_hz, is_cuttable=True)
     with tempfile.TemporaryDirectory() as folder, DemoFleet(Path(folder), wanted) as fleet:
         worst, received, unreceived, right = asyncio.run(_broken(fleet, rows))
         died = asyncio.run(_kill_a_worker(fleet))

@@ -55,10 +55,10 @@ def run() -> Report:
 
 def _solved(archive: Archive, workers: int, kills: bool) -> tuple[float, int, int]:
     """Solve all; return seconds, recordings that failed, and workers killed after the first one."""
-    outcomes: list[solving.Solved] = []
+    outcomes: list[solving.SolvedRecording] = []
     killed: list[int] = []
 
-    def done(outcome: solving.Solved) -> None:
+    def done(outcome: solving.SolvedRecording) -> None:
         outcomes.append(outcome)
         if kills and not killed:
             children = psutil.Process().children(recursive=True)

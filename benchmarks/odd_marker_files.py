@@ -529,7 +529,7 @@ def _left_out(fit: Fit) -> list[str]:
         f"{left} is {lengths[left]:.0f} mm long, {right} {lengths[right]:.0f} mm"
         for left, right in uneven_sides(lengths)
     ]
-    bare = [f"no markers on {', '.join(fit.left_out)}"] if fit.left_out else []
+    bare = [f"no markers on {', '.join(fit.trials.left_out)}"] if fit.trials.left_out else []
     few = [f"too few on {', '.join(on)} (no {lacking})" for lacking, on in by_lacking(fit.too_few).items()]
     return doubts + bare + few
 

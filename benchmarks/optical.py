@@ -20,7 +20,6 @@ from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.emulation.optical_truth import TRIALS, UNTOLD
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body, sighted
 from gateway.reconstruction.optical.landmarks import measurements, to_world, vertical_axis
 from gateway.reconstruction.optical.marker_set import MarkerSet, load_marker_set
@@ -232,7 +231,7 @@ def _first_frame_markers(
     model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray
 ) -> FloatArray:
     """(M, 3) m: markers of one frame in their segments; where one was not seen, as it was."""
-    p = kernels.places(model.parents, model.offsets, R, root)
+    p = model.joints_at(R, root)
     local = np.einsum("mji,mj->mi", R[model.segments], observed - p[model.segments])
     places: FloatArray = np.where(np.isfinite(local), local, model.positions)
     return places

@@ -13,7 +13,7 @@ import numpy as np
 from devices.link import Chunk, Framing, gateway_time_ns
 from gateway.frames import SkeletonFrame
 from gateway.recording.files import Contents, SessionFiles
-from gateway.recording.recorder import Recorder, Sink
+from gateway.recording.recorder import Recorder, RecordingSink
 from gateway.settings import RecordingSettings
 
 N_MODULES = 17
@@ -27,7 +27,9 @@ def main() -> None:
         folder=sys.argv[1], flush_ms=float(sys.argv[2]), min_free_mb=1, warn_free_mb=1
     )
     files = SessionFiles(settings, Contents({"suit": Framing.BYTE_STREAM}, {}, "bench", True))
-    recorder = Recorder(Sink(files.write, files.flush, files.close, files.abandon), settings.flush_ms * 1e-3)
+    recorder = Recorder(
+        RecordingSink(files.write, files.flush, files.close, files.abandon), settings.flush_ms * 1e-3
+    )
     rng = np.random.default_rng(1)
     print(files.path, flush=True)
     tick, start = 0, time.monotonic()

@@ -16,7 +16,7 @@ from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.frames import CameraHeatMaps, FloatArray, HeatMapFrame
 from gateway.geometry import quaternion
 from gateway.reconstruction.video.initial import centroids
-from gateway.reconstruction.video.inverse_kinematics import keypoint_places, video_body
+from gateway.reconstruction.video.inverse_kinematics import video_body
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
 from gateway.reconstruction.video.networks.network import PoseNetwork
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
@@ -95,7 +95,7 @@ def solve(seen: Seen) -> Solved:
     smoothed = [pose.skeleton for pose in poses if pose.skeleton is not None] + reconstructor.finish()
     body = video_body(seen.person.skeleton, seen.person.markers)
     places = [
-        keypoint_places(body.model, np.stack([quaternion.to_matrix(q) for q in frame.q_wb]), frame.p_w[0])
+        body.model.markers_at(np.stack([quaternion.to_matrix(q) for q in frame.q_wb]), frame.p_w[0])
         for frame in smoothed
     ]
     return Solved(

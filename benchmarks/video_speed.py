@@ -186,7 +186,7 @@ class _Led:
 
     def take(self, messages: Sequence[bytes]) -> CrowdInstant:
         """Pass an instant on."""
-        return CrowdInstant({}, {}, {1: messages}, {}, [], self._stage.orders())
+        return CrowdInstant(messages={1: messages}, orders=self._stage.orders())
 
 
 def _stage(pipeline: Pipeline) -> CameraStage:

@@ -21,7 +21,7 @@ from random import Random
 
 from devices.emulators.faults.wire_damage import BLOCK_SIZE, ByteStream, CanBus
 from devices.link import Chunk, Framing
-from gateway.emulation.both_ways import BothWays, Difference
+from gateway.emulation.both_ways import BothWays, BothWaysDiffer
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.module_table import ModuleTable
 from gateway.sources.suit import SuitSource
@@ -62,7 +62,7 @@ class _Lane:
         self._n_blocks = 0
 
     def run_block(self, account: Account) -> None:
-        """Send one block both ways. Raises ``Difference``."""
+        """Send one block both ways. Raises ``BothWaysDiffer``."""
         traffic = self._source.block()
         now_ns = START_NS + max(traffic.sent) * 1000  # clocks show the microsecond of their wire frames
         for chunk in traffic.chunks:
@@ -74,7 +74,7 @@ class _Lane:
         account.damaged += traffic.n_damaged
 
     def close(self, account: Account) -> None:
-        """Add what was counted on the whole. Raises ``Difference``."""
+        """Add what was counted on the whole. Raises ``BothWaysDiffer``."""
         self.both.compare_accounts()
         stream = self.both.compiled
         account.packets += sum(decoder.accepted for decoder in stream.decoders())
@@ -88,7 +88,7 @@ def run(
     mode: ClockMode = ClockMode.SHARED,
     progress: Callable[[Account], None] = lambda _: None,
 ) -> Account:
-    """Send ``n_frames`` or a few more both ways. Raises ``Difference`` at the first that there is."""
+    """Send ``n_frames`` or a few more both ways. Raises ``BothWaysDiffer`` at the first that there is."""
     lanes = (
         _Lane(Framing.BYTE_STREAM, ByteStream(Random(f"bytes {seed}")), mode),
         _Lane(Framing.CAN, CanBus(Random(f"CAN {seed}")), mode),
@@ -121,7 +121,7 @@ def main() -> None:
 
     try:
         account = run(arguments.frames, arguments.seed, arguments.clock, show)
-    except Difference as difference:
+    except BothWaysDiffer as difference:
         sys.exit(f"FAIL: {difference}")
     print(f"PASS: {account.line()}; seed {arguments.seed}, {time.monotonic() - begin:.0f} s")
 

@@ -179,6 +179,13 @@ class _Pace:
                     await self._closing.wait()
 
 
+def is_recording(link: Link) -> bool:
+    """Return whether a link plays a recording: nobody is at its other end, its arrival times are of another
+    day.
+    """
+    return isinstance(link, ReplayLink)
+
+
 def contents_of(link: Link, carries: str = SUIT) -> Mapping[str, str]:
     """Return what the chunks of an open link are (``devices.link.content_of``), by the names that they bear.
 

@@ -40,11 +40,11 @@ from firmware_protocol.can_framing import (
     unpack_can_records,
 )
 from firmware_protocol.can_transfer import (
-    Outcome,
     TransferParams,
     TransferPiece,
     TransferReceiver,
     TransferSender,
+    TransferState,
 )
 from firmware_protocol.commands import (
     VERBS,
@@ -157,7 +157,6 @@ __all__ = [
     "LightSample",
     "LocalMeasurement",
     "LogLine",
-    "Outcome",
     "Packet",
     "PacketDecoder",
     "PassThrough",
@@ -174,6 +173,7 @@ __all__ = [
     "TransferPiece",
     "TransferReceiver",
     "TransferSender",
+    "TransferState",
     "TransferToHost",
     "TransferToModule",
     "Vector3",

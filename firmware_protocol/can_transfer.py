@@ -105,7 +105,7 @@ class TransferParams:
     """Waits in a row after which a sender gives up."""
 
 
-class Outcome(Enum):
+class TransferState(Enum):
     """How a sender's transfer stands."""
 
     SENDING = "on its way"
@@ -143,7 +143,7 @@ class TransferSender:
 
         Raises ValueError as ``framing.serialize``.
         """
-        self.outcome = Outcome.SENDING
+        self.state = TransferState.SENDING
         self._params = params or TransferParams()
         self._make = make
         self._transfer = transfer
@@ -160,12 +160,12 @@ class TransferSender:
     @property
     def next_time_ns(self) -> int | None:
         """When to call ``due`` again at the latest; None when there is nothing more to send."""
-        return self._time_ns if self.outcome is Outcome.SENDING else None
+        return self._time_ns if self.state is TransferState.SENDING else None
 
     def due(self, now_ns: int) -> list[TransferPiece]:
         """Return the pieces to be sent by now."""
         pieces: list[TransferPiece] = []
-        while self.outcome is Outcome.SENDING and now_ns >= self._time_ns:
+        while self.state is TransferState.SENDING and now_ns >= self._time_ns:
             # All that was allowed is sent, and the receiver has not answered in time.
             if self._next == self._limit and not self._retry():
                 break
@@ -178,10 +178,10 @@ class TransferSender:
     def receive(self, piece: TransferPiece, now_ns: int) -> None:
         """Take the receiver's flow control; what is no part of this transfer is ignored."""
         flow = flow_control_of(piece)
-        if flow is None or piece.transfer != self._transfer or self.outcome is not Outcome.SENDING:
+        if flow is None or piece.transfer != self._transfer or self.state is not TransferState.SENDING:
             return
         if flow.status is FlowStatus.OVERFLOW:
-            self.outcome = Outcome.REFUSED
+            self.state = TransferState.REFUSED
         # What was confirmed before is not sent again: an older answer was overtaken on the bus.
         elif self._wanted <= flow.wanted <= len(self._data):
             self._follow(flow, now_ns)
@@ -193,7 +193,7 @@ class TransferSender:
             self._retries = self._waits = 0
         if flow.status is FlowStatus.DONE:
             if flow.wanted == len(self._data):
-                self.outcome = Outcome.DONE
+                self.state = TransferState.DONE
         elif flow.status is FlowStatus.WAIT:
             self._wait(now_ns)
         # A block is allowed once: the same flow control, repeated, must not send its pieces twice.
@@ -215,13 +215,13 @@ class TransferSender:
         self._time_ns = now_ns + self._params.flow_timeout_ns
         self._retries = 0
         if self._waits > self._params.max_waits:
-            self.outcome = Outcome.TIMED_OUT
+            self.state = TransferState.TIMED_OUT
 
     def _retry(self) -> bool:
         """Go back to the piece sent last, which makes the receiver say what it wants."""
         self._retries += 1
         if self._retries > self._params.max_retries:
-            self.outcome = Outcome.TIMED_OUT
+            self.state = TransferState.TIMED_OUT
             return False
         self._next = max(self._next - 1, 0)
         return True

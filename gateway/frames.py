@@ -256,3 +256,11 @@ class SkeletonFrame:
     """Index of the rank-1 segment."""
     markers: MarkerFit | None = None
     """Of a pose made from markers: what became of each."""
+
+
+def unknown_pose(n_segments: int, sequence: int = 0, time_ns: int = 0) -> SkeletonFrame:
+    """Return a pose of which nothing is known: all NaN, every segment MISSING."""
+    q_wb, rate, acceleration, p_w = (np.full((n_segments, size), np.nan) for size in (4, 3, 3, 3))
+    status = np.full(n_segments, Status.MISSING, np.uint8)
+    sigma = np.full(n_segments, np.nan)
+    return SkeletonFrame(sequence, time_ns, q_wb, rate, acceleration, p_w, sigma, status, 0)

@@ -47,7 +47,7 @@ INPUT_EVENTS = frozenset({RESET_EVENT, CALIBRATED_EVENT, LOAD_EVENT})
 """Events that are inputs: a recording must hand them over again in their place."""
 
 
-class Worn(NamedTuple):
+class PreparedSuit(NamedTuple):
     """A suit that is worn otherwise, with what reconstructs it."""
 
     suit: WornSuit
@@ -63,6 +63,7 @@ class Pipeline:
         params: AssemblyParams,
         reconstructor: str = "independent",
         clock_mode: ClockMode = ClockMode.ESTIMATED,
+        *,
         clock_table: ClockTable | None = None,
         despiker: Despiker | None = None,
         trigger_patience_ns: int = 250_000_000,
@@ -72,6 +73,8 @@ class Pipeline:
     ) -> None:
         """Build the sources and stages of a suit.
 
+        reconstructor: name of the method. clock_table: for clock mode TABLE.
+        despiker: takes single wild values out of samples; None: they stay.
         trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken.
         delay_s: by how much the method's frames may come later to be more accurate; for methods that can.
         links: settings of the links by name.
@@ -86,11 +89,11 @@ class Pipeline:
             suit,
             self.modules,
             params,
-            reconstructor,
-            root,
-            despiker,
-            None if clock_table is None else clock_table.reference,
-            delay_s,
+            method=reconstructor,
+            root=root,
+            despiker=despiker,
+            reference=None if clock_table is None else clock_table.reference,
+            delay_s=delay_s,
         )
         self.suit = suit
         """As worn now: a calibration may have changed it."""
@@ -116,12 +119,12 @@ class Pipeline:
             settings.assembly.params(),
             settings.reconstructor,
             settings.clock.mode,
-            None if table is None else load_clock_table(Path(table)),
-            Despiker() if settings.assembly.despike else None,
-            round(settings.clock.trigger_patience_ms * 1e6),
-            settings.root_motion.root(),
-            settings.reconstructor_delay_ms * 1e-3,
-            {link.name: link for link in settings.links},
+            clock_table=None if table is None else load_clock_table(Path(table)),
+            despiker=Despiker() if settings.assembly.despike else None,
+            trigger_patience_ns=round(settings.clock.trigger_patience_ms * 1e6),
+            root=settings.root_motion.root(),
+            delay_s=settings.reconstructor_delay_ms * 1e-3,
+            links={link.name: link for link in settings.links},
         )
 
     def add_link(self, name: str, content: str) -> None:
@@ -224,13 +227,15 @@ class Pipeline:
         self.skeleton_frames += len(poses)
         return [self.resets.apply(pose) for pose in poses]
 
-    def event(self, name: str, data: Mapping[str, Any], worn: Worn | None = None) -> dict[str, object]:
+    def event(
+        self, name: str, data: Mapping[str, Any], prepared: PreparedSuit | None = None
+    ) -> dict[str, object]:
         """Apply something asked of the gateway that changes what follows; other events pass without effect.
 
         ``reset`` (kind, facing), ``calibrated`` (see ``mounting_event``) and ``load`` (solve_every: of the
-        frames, how many are reconstructed). worn: what ``prepare`` made of a calibration; None: it is made
-        here. Returns what came of it; raises ``GatewayError`` where that cannot be done, and then has changed
-        nothing.
+        frames, how many are reconstructed). prepared: what ``prepare`` made of a calibration; None: it is
+        made here. Returns what came of it; raises ``GatewayError`` where that cannot be done, and then has
+        changed nothing.
         """
         try:
             if name == RESET_EVENT:
@@ -238,7 +243,7 @@ class Pipeline:
             if name == LOAD_EVENT:
                 self.module_stage.solve_every = max(int(data["solve_every"]), 1)
             elif name == CALIBRATED_EVENT:
-                self._wear(self.prepare(data) if worn is None else worn)
+                self._wear(self.prepare(data) if prepared is None else prepared)
         except (
             KeyError,
             TypeError,
@@ -248,17 +253,17 @@ class Pipeline:
             raise GatewayError(f"event '{name}' cannot be read: {error!r}") from error
         return {}
 
-    def prepare(self, data: Mapping[str, Any]) -> Worn:
+    def prepare(self, data: Mapping[str, Any]) -> PreparedSuit:
         """Make what a calibration needs, which takes a while, and change nothing: for another thread.
 
         data: of the event. Raises ``GatewayError`` for one of another body."""
         suit = remounted(self.suit, data)
-        return Worn(suit, self.module_stage.make(suit))
+        return PreparedSuit(suit, self.module_stage.make(suit))
 
-    def _wear(self, worn: Worn) -> None:
-        self.suit = worn.suit
-        self.module_stage.wear(*worn)
-        self.resets = Resets(worn.suit.skeleton)
+    def _wear(self, prepared: PreparedSuit) -> None:
+        self.suit = prepared.suit
+        self.module_stage.wear(*prepared)
+        self.resets = Resets(prepared.suit.skeleton)
 
     @property
     def _parts(self) -> list[Source | Stage[Any]]:

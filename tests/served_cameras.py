@@ -10,7 +10,7 @@ import numpy as np
 from devices.cameras.orders import read_orders
 from gateway.body.camera import Camera, project
 from gateway.cameras.camera_process import CameraTask, messages_of
-from gateway.cameras.people_follower import PeopleFollower
+from gateway.cameras.people_follower import follower_of
 from gateway.emulation.video_truth import RATE_HZ, rendered, true_regions
 from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.reconstruction.video.keypoint_set import KeypointSet
@@ -89,7 +89,7 @@ class ServedCameras:
     ) -> None:
         scenes = [scene(camera, keypoints) for camera in cameras]
         self._tasks = [CameraTask(camera.name, "", "full") for camera in cameras]
-        self.followers = [PeopleFollower(scene, scene, most) for scene in scenes]  # type: ignore[arg-type]
+        self.followers = [follower_of(scene, scene, most) for scene in scenes]  # type: ignore[arg-type]
 
     def take(self, line: bytes) -> None:
         """Hand orders to all of them."""

@@ -165,7 +165,14 @@ def _read(data: bytes) -> HeatMapMessage | None:
             at += _PERSON.size
         if not has_maps:
             return HeatMapMessage(
-                camera, network, sequence, time_ns, None, np.zeros((2, 3)), person, following
+                camera=camera,
+                network=network,
+                sequence=sequence,
+                time_ns=time_ns,
+                likelihood=None,
+                map_from_pixel=np.zeros((2, 3)),
+                person=person,
+                following=following,
             )
         *affine, maps, rows, columns = _MAPS.unpack_from(body, at)
         cells = maps * rows * columns
@@ -178,5 +185,12 @@ def _read(data: bytes) -> HeatMapMessage | None:
     except (struct.error, UnicodeDecodeError, ValueError, zstandard.ZstdError):
         return None
     return HeatMapMessage(
-        camera, network, sequence, time_ns, likelihood, np.reshape(affine, (2, 3)), person, following
+        camera=camera,
+        network=network,
+        sequence=sequence,
+        time_ns=time_ns,
+        likelihood=likelihood,
+        map_from_pixel=np.reshape(affine, (2, 3)),
+        person=person,
+        following=following,
     )

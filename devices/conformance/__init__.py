@@ -4,7 +4,7 @@ Reading order: ``bench`` (the module, and all that it said) → ``rule`` (what a
 ``timing``, ``commanding``, ``writing`` (the rules) → ``run`` (all of them in order).
 """
 
-from devices.conformance.rule import Finding, Outcome, Rule
+from devices.conformance.rule import Rule, RuleOutcome, RuleResult
 from devices.conformance.run import RULES, check_module
 
-__all__ = ["RULES", "Finding", "Outcome", "Rule", "check_module"]
+__all__ = ["RULES", "Rule", "RuleOutcome", "RuleResult", "check_module"]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from devices.conformance.bench import Bench
 
 
-class Outcome(StrEnum):
+class RuleOutcome(StrEnum):
     """How the test of a rule ended."""
 
     KEPT = "kept"
@@ -43,12 +43,12 @@ class Rule:
     """It changes settings, which are put back in the end."""
 
 
-class Finding(NamedTuple):
+class RuleResult(NamedTuple):
     """What came of one rule."""
 
     rule: str
     statement: str
-    outcome: Outcome
+    outcome: RuleOutcome
     detail: str
 
 

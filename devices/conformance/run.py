@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Collection
 
 from devices.conformance.bench import Bench
 from devices.conformance.commanding import COMMANDING
-from devices.conformance.rule import BrokenError, Finding, Outcome, Rule, SkippedError
+from devices.conformance.rule import BrokenError, Rule, RuleOutcome, RuleResult, SkippedError
 from devices.conformance.streaming import LISTENED_S, STREAMING
 from devices.conformance.timing import TIMING
 from devices.conformance.writing import WRITING, backup, held, write
@@ -19,7 +19,7 @@ RULES: tuple[Rule, ...] = (*STREAMING, *TIMING, *COMMANDING, *WRITING)
 
 async def check_module(
     link: Link, device: str | None = None, *, allow_writes: bool = False, only: Collection[str] = ()
-) -> AsyncIterator[Finding]:
+) -> AsyncIterator[RuleResult]:
     """Yield what came of each rule, for the module at the other end of a link that is not open yet.
 
     device: its id or the beginning of its unique id; None: the only one there.
@@ -45,15 +45,17 @@ async def check_module(
                 await write(bench, changed)
 
 
-async def _finding(bench: Bench, rule: Rule, allow_writes: bool) -> Finding:
+async def _finding(bench: Bench, rule: Rule, allow_writes: bool) -> RuleResult:
     if rule.is_writing and not allow_writes:
-        return Finding(rule.name, rule.statement, Outcome.SKIPPED, "it changes settings: pass --allow-writes")
+        return RuleResult(
+            rule.name, rule.statement, RuleOutcome.SKIPPED, "it changes settings: pass --allow-writes"
+        )
     if bench.is_lost is not None:
         raise LinkError(bench.is_lost)
     try:
         await rule.check(bench)
     except BrokenError as error:
-        return Finding(rule.name, rule.statement, Outcome.BROKEN, str(error))
+        return RuleResult(rule.name, rule.statement, RuleOutcome.BROKEN, str(error))
     except SkippedError as error:
-        return Finding(rule.name, rule.statement, Outcome.SKIPPED, str(error))
-    return Finding(rule.name, rule.statement, Outcome.KEPT, "")
+        return RuleResult(rule.name, rule.statement, RuleOutcome.SKIPPED, str(error))
+    return RuleResult(rule.name, rule.statement, RuleOutcome.KEPT, "")

@@ -45,9 +45,13 @@ class LinkStatus:
     """Whether another program has the port."""
 
 
+_FILE = ReplayLink | MarkerFileLink
+"""Links that come to an end; where such a file is absent, it will not come by itself."""
+
+
 def kept_open(link: Link, on_change: Callable[[LinkStatus], None] | None = None) -> Link:
     """Return a link that is opened again whenever it is lost; a file that was read to its end is not."""
-    if isinstance(link, ReplayLink | MarkerFileLink):
+    if isinstance(link, _FILE):
         return link
     return ReconnectingLink(link, on_change=on_change)
 
@@ -70,14 +74,18 @@ class ReconnectingLink:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
-        """Keep ``link`` open; if ``strict``, the first ``open`` raises ``LinkError`` instead of retrying."""
+        """Keep ``link`` open.
+
+        strict: whether the first ``open`` raises ``LinkError`` instead of retrying, as that of a file always
+        does.
+        """
         self.link = link
         self.name = link.name
         self.framing = link.framing
         self.status = LinkStatus(LinkState.CLOSED)
         self.reconnections = 0
         """How often the link came up again since it was opened."""
-        self._strict = strict
+        self._strict = strict or isinstance(link, _FILE)
         self._back_off = back_off or BackOff(FIRST_DELAY_S, LONGEST_DELAY_S)
         self._on_change = on_change
         self._clock = clock

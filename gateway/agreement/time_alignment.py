@@ -50,7 +50,7 @@ class TimeAlignment:
 
 
 def align_time(first: Tracks, second: Tracks, largest_lag_s: float | None = None) -> TimeAlignment:
-    """Lag and drift between two of the same segments in the same order.
+    """Return lag and drift between two tracks of the same segments in the same order.
 
     largest_lag_s: looked for within ± this; None: wherever the two overlap by enough.
     Raises ``GatewayError`` when they do not, or when one of them does not move.

@@ -144,10 +144,20 @@ def analyse_motion(
     torques = joint_torques(skeleton, axes, dynamics.moment)
     weight_n = float(np.linalg.norm(gravity) * inertia.mass.sum())
     return Analysis(
-        name, skeleton, motion, inertia, angles, rates, accelerations, axes, torques,
-        _power(skeleton, motion, dynamics), floor, dynamics,
-        tuple(trust_notes(motion, inertia, floor, dynamics, weight_n)),
-    )  # fmt: skip
+        name=name,
+        skeleton=skeleton,
+        motion=motion,
+        inertia=inertia,
+        angles=angles,
+        angle_rates=rates,
+        angle_accelerations=accelerations,
+        axes=axes,
+        torques=torques,
+        power=_power(skeleton, motion, dynamics),
+        floor=floor,
+        dynamics=dynamics,
+        notes=tuple(trust_notes(motion, inertia, floor, dynamics, weight_n)),
+    )
 
 
 def _floor(

@@ -22,7 +22,7 @@ EXTRA = how_to_add("biomech")
 
 
 def require_biomech() -> None:
-    """Raises ``GatewayError`` where the extra is not installed."""
+    """Raise ``GatewayError`` where the extra is not installed."""
     absent = [name for name in ("mujoco", "osqp") if importlib.util.find_spec(name) is None]
     if absent:
         raise GatewayError(f"the analysis needs {' and '.join(absent)} (extra 'biomech'): {EXTRA}")
@@ -63,7 +63,7 @@ def compiled_model(skeleton: Skeleton, inertia: BodyInertia, gravity: FloatArray
 
 
 def _upper(inertia: FloatArray) -> FloatArray:
-    """xx, yy, zz, xy, xz, yz."""
+    """Return xx, yy, zz, xy, xz, yz of an inertia (3, 3), kg m²."""
     upper: FloatArray = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     return upper
 

@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.deferred import expit, nnls
-from gateway.analysis.floor import LEAST_FORCE_N, FloorForces, Source, floor_height, sole_paths, sole_points
+from gateway.analysis.floor import (
+    LEAST_FORCE_N,
+    FloorForces,
+    ForceSource,
+    floor_height,
+    sole_paths,
+    sole_points,
+)
 from gateway.analysis.inverse_dynamics import Dynamics, Progress
 from gateway.analysis.smooth_motion import SmoothMotion
 from gateway.frames import FloatArray, IntArray
@@ -77,7 +84,7 @@ def estimated_floor(
     shares = smooth_split(motion.time_s, standing, places, chosen)
     frames = len(paths)
     force, moment = np.zeros((2, frames, len(segments), 3))
-    source = np.full((frames, len(segments)), Source.NONE, dtype=np.uint8)
+    source = np.full((frames, len(segments)), ForceSource.NONE, dtype=np.uint8)
     if known is not None:
         _enter_known(known, segments.tolist(), force, moment, source)
     for f in range(frames) if instants is None else instants:
@@ -85,7 +92,7 @@ def estimated_floor(
         wanted = taken[f].copy()
         wanted[:3] -= force[f].sum(axis=0)
         wanted[3:] -= (moment[f] - np.cross(origin, force[f])).sum(axis=0)
-        is_free = (source[f] != Source.MEASURED)[places]
+        is_free = (source[f] != ForceSource.MEASURED)[places]
         if is_free.any():
             share = shares[f] if is_free.all() else np.full(len(segments), np.nan)
             loads = _shared(
@@ -94,8 +101,8 @@ def estimated_floor(
             for at, load, c in zip(paths[f, is_free], loads, places[is_free].tolist(), strict=True):
                 force[f, c] += load
                 moment[f, c] += np.cross(at, load)
-        loaded = (force[f, :, 2] > LEAST_FORCE_N) & (source[f] == Source.NONE)
-        source[f, loaded] = Source.ESTIMATED
+        loaded = (force[f, :, 2] > LEAST_FORCE_N) & (source[f] == ForceSource.NONE)
+        source[f, loaded] = ForceSource.ESTIMATED
         if progress is not None and f % _FRAMES_A_REPORT == 0:
             progress(f, frames)
     shown = np.full(source.shape, height) if known is None else known.height_m
@@ -121,8 +128,8 @@ def with_unknown(motion: SmoothMotion, free: Dynamics, floor: FloorForces) -> Fl
     paths = sole_paths(carriers, points, free.p_w, free.rotation_wb)
     sure = stances(motion.time_s, paths, floor_height(paths), ContactSettings())
     stands = np.stack([(sure[:, carriers == s] > _STANDS).any(axis=1) for s in floor.segments], axis=1)
-    unknown = stands & (floor.source == Source.NONE)
-    return replace(floor, source=np.where(unknown, np.uint8(Source.UNKNOWN), floor.source))
+    unknown = stands & (floor.source == ForceSource.NONE)
+    return replace(floor, source=np.where(unknown, np.uint8(ForceSource.UNKNOWN), floor.source))
 
 
 def smooth_split(
@@ -185,10 +192,10 @@ def _shared(
 def _enter_known(
     known: FloorForces, segments: list[int], force: FloatArray, moment: FloatArray, source: NDArray[np.uint8]
 ) -> None:  # fmt: skip
-    """What was measured, into the arrays; changes them."""
+    """Enter measured forces into arrays by ``segments``, in place."""
     for k, segment in enumerate(known.segments.tolist()):
         c = segments.index(segment)
-        measured = known.source[:, k] == Source.MEASURED
+        measured = known.source[:, k] == ForceSource.MEASURED
         force[measured, c] = known.force[measured, k]
         moment[measured, c] = known.moment[measured, k]
-        source[measured, c] = Source.MEASURED
+        source[measured, c] = ForceSource.MEASURED

@@ -79,7 +79,7 @@ class Cycles:
 def strides(
     skeleton: Skeleton, floor: FloorForces, time_s: FloatArray, p_w: FloatArray
 ) -> tuple[Stride, ...]:
-    """In the order of time. p_w: (F, S, 3) m of the segments' joints."""
+    """Return all strides in the order of time. p_w: (F, S, 3) m, proximal joints in the world."""
     events = gait_events(skeleton, floor, time_s)
     found = []
     for foot in dict.fromkeys(event.foot for event in events):
@@ -100,7 +100,7 @@ def strides(
 def stance_spans(
     skeleton: Skeleton, floor: FloorForces, time_s: FloatArray
 ) -> dict[str, list[tuple[float, float]]]:
-    """From when until when each foot stands, as far as its strikes and offs are known; by the foot's name."""
+    """Return from when until when each foot stands, s, by its name; as far as strikes and offs are known."""
     spans: dict[str, list[tuple[float, float]]] = {}
     for event in gait_events(skeleton, floor, time_s):
         own = spans.setdefault(event.foot, [])

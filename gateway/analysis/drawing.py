@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.body_model import EXTRA
 from gateway.analysis.cycles import Stride
-from gateway.analysis.floor import Source
+from gateway.analysis.floor import ForceSource
 from gateway.analysis.muscles import MuscleResult
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
@@ -52,7 +52,7 @@ def require_opencv() -> Any:
 
 
 def scene_of(found: Analysis) -> Scene:
-    """Seen so that the whole body fits, from its right and from the front."""
+    """Return views from the right and from the front in which the whole body fits throughout."""
     root = int(np.flatnonzero(found.skeleton.parents < 0)[0])
     facing = found.dynamics.rotation_wb[:, root, :, 0].mean(axis=0) * [1.0, 1.0, 0.0]
     length = float(np.linalg.norm(facing))
@@ -69,7 +69,7 @@ def scene_of(found: Analysis) -> Scene:
 
 
 def draw(found: Analysis, muscles: MuscleResult | None, frame: int, scene: Scene) -> Picture:
-    """(HEIGHT, WIDTH, 3) blue, green, red: from the right, and from the front."""
+    """Return a frame as (HEIGHT, WIDTH, 3) blue, green, red: from the right, and from the front."""
     cv2 = require_opencv()
     picture: Picture = np.full((HEIGHT, WIDTH, 3), _BACKGROUND, dtype=np.uint8)
     for pane, (across, depth) in enumerate(((scene.forward, scene.right), (-scene.right, scene.forward))):
@@ -82,7 +82,7 @@ def draw(found: Analysis, muscles: MuscleResult | None, frame: int, scene: Scene
     _write(picture, f"{found.time_s[frame]:.2f} s", (10, 22), 0.5)
     for k, (side, colour) in enumerate(_SIDES.items()):
         _write(picture, _side_text(side, float(found.time_s[frame]), scene), (90 + 120 * k, 22), 0.45, colour)
-    for k, c in enumerate(np.flatnonzero(found.floor.source[frame] == Source.UNKNOWN).tolist()):
+    for k, c in enumerate(np.flatnonzero(found.floor.source[frame] == ForceSource.UNKNOWN).tolist()):
         name = found.skeleton.segment_names[int(found.floor.segments[c])].replace("_", " ")
         _write(picture, f"{name} stands on an unknown force", (10, 44 + 18 * k), 0.42)
     if muscles is not None:
@@ -92,10 +92,10 @@ def draw(found: Analysis, muscles: MuscleResult | None, frame: int, scene: Scene
 
 
 def _legend(picture: Picture, found: Analysis) -> None:
-    """What arrows and the dot are, at the bottom."""
+    """Write what arrows and the dot are, at the bottom."""
     whose = "" if found.is_whole else " of the part that is there"
     words = [(f"dot: centre of mass{whose}", _MASS)]
-    for source, colour in ((Source.ESTIMATED, _ESTIMATED), (Source.MEASURED, _FORCE)):
+    for source, colour in ((ForceSource.ESTIMATED, _ESTIMATED), (ForceSource.MEASURED, _FORCE)):
         if (found.floor.source == source).any():
             words.insert(0, (f"floor's force, {source.name.lower()}", colour))
     x = 10
@@ -131,7 +131,7 @@ class _View:
         self._middle = float(root @ across)
 
     def floor(self) -> None:
-        """The line that the person stands on."""
+        """Draw the line that the person stands on."""
         y = HEIGHT - 30
         self._cv2.line(self._picture, (self._left + 8, y), (self._left + _PANE - 8, y), _FLOOR, 1)
 
@@ -145,13 +145,13 @@ class _View:
         return rounded
 
     def line(self, places: FloatArray, colour: tuple[int, ...], width: int) -> None:
-        """A polyline through places (n, 3) m."""
+        """Draw a polyline through places (n, 3) m, world. width: pixels."""
         self._cv2.polylines(
             self._picture, [self.points(places)], False, colour, width, self._cv2.LINE_AA, _SUBPIXEL
         )
 
     def circle(self, place: FloatArray, radius_m: float, colour: tuple[int, ...], width: int) -> None:
-        """Around a place (3,) m; width -1: filled."""
+        """Draw a circle around a place (3,) m, world. width: pixels; -1: filled."""
         centre = self.points(place[None])[0, 0]
         radius = int(radius_m * self._scene.pixels_per_m * 2**_SUBPIXEL)
         self._cv2.circle(
@@ -174,7 +174,7 @@ def _bones(view: _View, found: Analysis, frame: int) -> None:
 
 
 def _wires(view: _View, muscles: MuscleResult, frame: int, depth: FloatArray) -> None:
-    """Farther ones first, so that nearer ones lie over them."""
+    """Draw the wires of muscles, farther ones first, so that nearer ones lie over them."""
     paths, activity = muscles.paths[frame], muscles.activity[frame]
     near = [float(np.mean(path @ depth)) for path in paths]
     for i in np.argsort(near):
@@ -186,7 +186,7 @@ def _forces(view: _View, found: Analysis, frame: int) -> None:
     for c, at in enumerate(pressure):
         if np.isfinite(at).all():
             arrow = found.floor.force[frame, c] * _ARROW_M_PER_WEIGHT / found.weight_n
-            is_measured = found.floor.source[frame, c] == Source.MEASURED
+            is_measured = found.floor.source[frame, c] == ForceSource.MEASURED
             colour = _FORCE if is_measured else _ESTIMATED
             view.line(np.stack([at, at + arrow]), colour, 2)
             view.circle(at, 0.012, colour, -1)
@@ -194,7 +194,7 @@ def _forces(view: _View, found: Analysis, frame: int) -> None:
 
 
 def colour_of(activity: float) -> tuple[int, int, int]:
-    """Blue, green, red of an activity from 0 to 1."""
+    """Return blue, green, red of an activity from 0 to 1."""
     mixed = [np.interp(activity, [0.0, 0.5, 1.0], channel) for channel in _STOPS.T]
     blue, green, red = (round(float(value)) for value in mixed)
     return blue, green, red
@@ -208,7 +208,7 @@ def _write(
 
 
 def _scale(cv2: Any, picture: Picture) -> None:
-    """What the colours mean, at the top."""
+    """Write what the colours mean, at the top."""
     left, top, width = WIDTH - 190, 12, 110
     for x in range(width):
         cv2.line(picture, (left + x, top), (left + x, top + 8), colour_of(x / (width - 1)), 1)

@@ -23,7 +23,7 @@ _TOE_SPRING = 0.06
 """How much higher than the ball the toe's tip stands, of the foot's length."""
 
 
-class Source(IntEnum):
+class ForceSource(IntEnum):
     """Where a foot's force at an instant came from."""
 
     NONE = 0
@@ -40,7 +40,7 @@ class FloorForces:
     segments: IntArray  # (C,)
     force: FloatArray  # (F, C, 3) N
     moment: FloatArray  # (F, C, 3) N m, about the world's origin
-    source: NDArray[np.uint8]  # (F, C) Source
+    source: NDArray[np.uint8]  # (F, C) ``ForceSource``
     height_m: FloatArray  # (F, C) of what is under the foot
     notes: tuple[str, ...] = ()
     """Sentences on what is doubtful."""
@@ -56,7 +56,7 @@ class FloorForces:
         for c, foot in enumerate(self.segments.tolist()):
             segment = foot
             while segment >= 0:
-                known[:, segment] &= self.source[:, c] != Source.UNKNOWN
+                known[:, segment] &= self.source[:, c] != ForceSource.UNKNOWN
                 segment = int(skeleton.parents[segment])
         return known
 
@@ -107,5 +107,5 @@ def sole_paths(
 
 
 def floor_height(paths: FloatArray) -> float:
-    """Of the floor under soles (F, P, 3), m: what their lowest point hardly ever goes below."""
+    """Return the height of the floor under soles (F, P, 3), m: their lowest point hardly ever goes below."""
     return float(np.percentile(paths[..., 2].min(axis=1), _FLOOR_PERCENTILE)) if paths.size else 0.0

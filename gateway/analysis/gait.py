@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.analysis.floor import LEAST_FORCE_N, FloorForces, Source
+from gateway.analysis.floor import LEAST_FORCE_N, FloorForces, ForceSource
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 
@@ -29,16 +29,18 @@ class GaitEvent(NamedTuple):
 
 
 def gait_events(skeleton: Skeleton, floor: FloorForces, time_s: FloatArray) -> list[GaitEvent]:
-    """In the order of time. A foot that stands when the motion begins or ends strikes or lifts off at no time
+    """Return strikes and offs in the order of time.
+
+    A foot that stands when the motion begins or ends strikes or lifts off at no time
     that is known; so does one whose force before or after is not known."""
     found = []
     for c, segment in enumerate(floor.segments.tolist()):
         name = skeleton.segment_names[segment]
         for first, last in _stances(_loads(floor, c), time_s):
-            source = Source(int(floor.source[first, c])).name.lower()
+            source = ForceSource(int(floor.source[first, c])).name.lower()
             for frame, beside, event in ((first, first - 1, "strike"), (last, last + 1, "off")):
                 is_inside = 0 <= beside < len(time_s)
-                if is_inside and floor.source[beside, c] != Source.UNKNOWN:
+                if is_inside and floor.source[beside, c] != ForceSource.UNKNOWN:
                     found.append(GaitEvent(float(time_s[frame]), name, event, source))
     return sorted(found)
 
@@ -51,7 +53,7 @@ def _loads(floor: FloorForces, foot: int) -> NDArray[np.bool_]:
     """
     up_n = floor.force[:, foot, 2]
     least = np.full(len(up_n), LEAST_FORCE_N)
-    is_estimated = floor.source[:, foot] == Source.ESTIMATED
+    is_estimated = floor.source[:, foot] == ForceSource.ESTIMATED
     least[is_estimated] = max(LEAST_FORCE_N, _LEAST_SHARE * float(up_n.max(initial=0.0)))
     loaded: NDArray[np.bool_] = up_n > least
     return loaded

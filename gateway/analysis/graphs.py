@@ -69,7 +69,7 @@ def gait(found: Analysis, unit: str) -> bytes | None:
 
 
 def _gait_panel(panel: object, curve: GaitCurve) -> None:
-    """Every stride thin, their mean thick, the published band below."""
+    """Plot every stride thin, their mean thick, and the published band below them."""
     side = "left" if curve.is_left else "right"
     if curve.band is not None and not panel.collections:  # type: ignore[attr-defined]
         percent, mean, deviation = curve.band.T
@@ -149,14 +149,14 @@ def _by_joint(found: Analysis, values: FloatArray) -> bytes:
 
 
 def _stances(found: Analysis) -> dict[str, list[tuple[float, float]]]:
-    """From when until when the foot of a joint's side stands, by the joint's name."""
+    """Return from when until when the foot of a joint's side stands, s, by the joint's name."""
     spans = stance_spans(found.skeleton, found.floor, found.time_s)
     feet = {joint.name: foot_of(found.skeleton, j) for j, joint in enumerate(found.skeleton.joints)}
     return {name: spans[foot] for name, foot in feet.items() if foot in spans}
 
 
 def _lines(axes: object, time_s: FloatArray, values: FloatArray) -> None:
-    """Three components of (F, 3)."""
+    """Plot the three components of values (F, 3) over time."""
     for i, name in enumerate(("x east", "y north", "z up")):
         axes.plot(time_s, values[:, i], lw=0.9, color=LINES[i], label=name)  # type: ignore[attr-defined]
     axes.set_xlabel("s", fontsize=7)  # type: ignore[attr-defined]

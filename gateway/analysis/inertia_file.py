@@ -34,7 +34,10 @@ class InertiaFile(Strict):
 
 
 def load_inertia(path: Path, skeleton: Skeleton) -> BodyInertia:
-    """Raises ``SettingsError`` naming the file, the entry and the remedy."""
+    """Return the masses and inertias that a file gives.
+
+    Raises ``SettingsError`` naming the file, the entry and the remedy.
+    """
     file = load_settings(path, InertiaFile)
     count = skeleton.n_segments
     mass, centre = np.full(count, NO_MASS_KG), np.zeros((count, 3))

@@ -36,7 +36,7 @@ class InverseDynamics:
     """One body, instant by instant."""
 
     def __init__(self, motion: SmoothMotion, inertia: BodyInertia, gravity: FloatArray) -> None:
-        """gravity: (3,) m/s², world. Raises ``GatewayError`` without mujoco."""
+        """Build the model. gravity: (3,) m/s², world. Raises ``GatewayError`` without mujoco."""
         import mujoco  # noqa: PLC0415 - an extra; told by compiled_model when absent
 
         self._mujoco = mujoco

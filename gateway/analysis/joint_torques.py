@@ -42,7 +42,7 @@ def joint_torques(skeleton: Skeleton, axes: FloatArray, moment: FloatArray) -> F
 
 
 def _axes_in_proximal(joint: Joint, angles: FloatArray) -> list[FloatArray]:
-    """For each angle its axis (F, 3) in the proximal segment's axes. angles: (F, 3) rad."""
+    """Return for each angle its axis (F, 3) in the proximal segment's axes. angles: (F, 3) rad."""
     named = [np.array(angle.axis, dtype=np.float64) for angle in joint.angles]
     if joint.decomposition is Decomposition.SWING_TWIST:  # the swing's two axes stay; the twist's goes along
         swing = angles[:, :1] * named[0] + angles[:, 1:2] * named[1]

@@ -47,8 +47,10 @@ class LiveMuscles:
     """Takes poses as they come; tells activities when asked."""
 
     def __init__(self, skeleton: Skeleton, body_kg: float) -> None:
-        """skeleton: with joints. Raises ``GatewayError`` for a body without legs, or without the extra
-        ``biomech``."""
+        """Begin without poses. skeleton: with joints.
+
+        Raises ``GatewayError`` for a body without legs, or without the extra ``biomech``.
+        """
         self._skeleton = skeleton
         self._inertia = body_inertia(skeleton, body_kg)
         self._paths = MusclePaths(skeleton, muscle_model())
@@ -58,7 +60,7 @@ class LiveMuscles:
         self._poses: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_MOST_KEPT)
 
     def add(self, time_s: float, q_wb: FloatArray, root: FloatArray) -> None:
-        """A pose: q_wb (S, 4) without NaN, root (3,) m. After a gap, or a jump back, it begins anew."""
+        """Add a pose: q_wb (S, 4) without NaN, root (3,) m, world. A gap or a jump back begins anew."""
         if self._poses and not 0.0 < time_s - self._poses[-1][0] < _LONGEST_GAP_S:
             if time_s == self._poses[-1][0]:
                 return
@@ -68,7 +70,7 @@ class LiveMuscles:
             self._poses.popleft()
 
     def now(self) -> LiveActivity | None:
-        """None until enough has come."""
+        """Return the newest activities; None until enough poses have come."""
         if not self._poses or self._poses[0][0] > self._poses[-1][0] - SPAN_S:
             return None
         motion = smooth_motion(self._skeleton, *self._on_grid(), DEFAULT_CUTOFF_HZ)
@@ -86,14 +88,14 @@ class LiveMuscles:
         return LiveActivity(self._poses[-1][0] - LAG_S, activity)
 
     def wires(self, q_wb: FloatArray, root: FloatArray) -> list[FloatArray]:
-        """Of each muscle its points (n, 3) m in the world, in any posture: q_wb (S, 4), root (3,) m."""
+        """Return each muscle's points (n, 3) m in a posture q_wb (S, 4), root (3,) m; all in the world."""
         angles = joint_angles(self._skeleton, q_wb[None])
         flexion = {side: float(knee[0]) for side, knee in knee_flexion(self._skeleton, angles).items()}
         self._paths.place(root, relative(self._skeleton, q_wb[None])[0], flexion)
         return self._paths.polylines()
 
     def _dynamics(self, motion: SmoothMotion, reported: slice) -> Dynamics:
-        """Of the instants that are reported, the first of them with the floor's forces."""
+        """Return the dynamics of the instants reported, the first of them with the floor's forces."""
         free = inverse_dynamics(motion, self._inertia, GRAVITY)
         instant = range(reported.start, reported.start + 1)
         floor = estimated_floor(motion, free, instants=instant).part(reported)

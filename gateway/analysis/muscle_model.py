@@ -89,7 +89,9 @@ class MuscleModel:
 
 @cache
 def muscle_model() -> MuscleModel:
-    """Raises ``GatewayError`` where ``myo-sim`` is not installed, or holds another model than this."""
+    """Return the muscles of ``myo-sim``.
+
+    Raises ``GatewayError`` where it is not installed, or holds another model than this."""
     require_biomech()
     if importlib.util.find_spec("myo_sim") is None:
         raise GatewayError(f"muscles need myo-sim (extra 'biomech'): {EXTRA}")
@@ -189,7 +191,7 @@ class _Reader:
         return begun
 
     def _patella(self, side: str) -> FloatArray:
-        """Of the joints' polynomials over the knee's angle."""
+        """Return the joints' polynomials over the knee's angle."""
         model = self._model
         rows = []
         for joint in ("translation1", "translation2", "rotation1"):

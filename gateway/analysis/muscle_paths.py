@@ -23,7 +23,7 @@ class MusclePaths:
     """All wires on one body, instant by instant. Its body must begin with its root."""
 
     def __init__(self, skeleton: Skeleton, muscles: MuscleModel) -> None:
-        """Raises ``GatewayError`` for a body without pelvis, thighs, shanks and feet."""
+        """Build the paths. Raises ``GatewayError`` for a body without pelvis, thighs, shanks and feet."""
         import mujoco  # noqa: PLC0415 - an extra
 
         self._mujoco = mujoco
@@ -77,7 +77,7 @@ class MusclePaths:
         return lengths
 
     def polylines(self) -> list[FloatArray]:
-        """For each wire its points (n, 3) m in the world, bends over bodies included."""
+        """Return for each wire its points (n, 3) m in the world, bends over bodies included."""
         data = self.data
         places = data.wrap_xpos.reshape(-1, 3)
         return [
@@ -112,7 +112,7 @@ class MusclePaths:
         return tostring(model, encoding="unicode")
 
     def _add(self, point: WirePoint, name: str, bodies: dict[str, Element], path: Element) -> None:
-        """A point of a wire, as a site, or a geom and the site on its side."""
+        """Add a point of a wire, as a site, or a geom and the site on its side."""
         place = self._scaling.placed(point.segment, point.position, name)
         if point.rotation is None:
             SubElement(bodies[point.segment], "site", name=name, pos=_text(place))

@@ -99,7 +99,7 @@ def _guide(
     path: Path, weight: float, names: tuple[str, ...], peak_n: FloatArray, time_s: FloatArray,
     into: MuscleCosts,
 ) -> None:  # fmt: skip
-    """Measured activities as biases, where and while there are any; changes the arrays."""
+    """Enter measured activities as biases of ``into``, where and while there are any, in place."""
     columns = _read_table(path)
     if "time_s" not in columns:
         raise SettingsError(f"{path}: no column 'time_s'; it has {', '.join(columns)}")

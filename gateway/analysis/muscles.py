@@ -73,7 +73,9 @@ def find_muscles(
     costs: Callable[[MusclePaths], MuscleCosts] | None = None,
     progress: Progress | None = None,
 ) -> MuscleResult:
-    """costs: of the muscles that the body carries; None: all alike.
+    """Return what muscles would make the torques of an analysis.
+
+    costs: of the muscles that the body carries; None: all alike.
 
     Raises ``GatewayError`` for a body without legs, or without the extra ``biomech``.
     """
@@ -102,7 +104,16 @@ def find_muscles(
         activity[f], left[f] = solver.solve(arms[f] * share[f], wanted, bias[f], chosen.weight[f])
         if progress is not None and f % _FRAMES_A_REPORT == 0:
             progress(frames + f, 2 * frames)
-    return MuscleResult(names, largest, share, activity, tuple(drawn), asked, arms, left)
+    return MuscleResult(
+        names=names,
+        largest_force=largest,
+        share=share,
+        activity=activity,
+        paths=tuple(drawn),
+        torques=asked,
+        arms=arms,
+        left=left,
+    )
 
 
 def moment_arms(

@@ -27,7 +27,10 @@ _FULL = 0.99
 
 
 def write_page(found: Analysis, muscles: MuscleResult | None, target: Path, film: Path | None = None) -> None:
-    """film: goes into the page. Raises ``GatewayError`` without matplotlib, or when it cannot be written."""
+    """Write an analysis as one page of HTML. film: goes into the page.
+
+    Raises ``GatewayError`` without matplotlib, or when it cannot be written.
+    """
     require_package("matplotlib")
     with writing(target):
         target.write_text(page(found, muscles, film), encoding="utf-8")

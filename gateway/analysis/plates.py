@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from devices.marker_files.force_plates import ForcePlate, ForcePlates
 from gateway.analysis.floor import (
     LEAST_FORCE_N,
     FloorForces,
-    Source,
+    ForceSource,
     feet,
     sole_paths,
     sole_points,
@@ -37,6 +39,33 @@ _LONG_SHARE = 0.1
 than the first in more than the third of a step's frames."""
 
 
+class _Soles(NamedTuple):
+    """Where the soles of C feet are; F frames, P points of all soles."""
+
+    feet: IntArray  # (C,) segments
+    carriers: IntArray  # (P,) the segment of each point
+    paths: FloatArray  # (F, P, 3) m, world
+    middles: FloatArray  # (F, C, 3) m, world: mean of a foot's points
+
+
+class _Load(NamedTuple):
+    """What one plate shows at F frames of the motion, world axes; 0 where it was not sampled."""
+
+    force: FloatArray  # (F, 3) N, smooth
+    moment: FloatArray  # (F, 3) N m about the world's origin, smooth
+    up: FloatArray  # (F,) N, as measured
+    pressure: FloatArray  # (F, 3) m, centre of pressure
+
+
+class _Step(NamedTuple):
+    """One load of a plate without interruption, in frames; ``end`` and ``last`` are past it."""
+
+    begin: int
+    end: int
+    first: int  # of the time around it that is nearer to it than to any other
+    last: int
+
+
 def measured_floor(
     plates: ForcePlates, vertical: str, motion: SmoothMotion, free: Dynamics, cutoff_hz: float | None
 ) -> FloorForces:
@@ -47,51 +76,73 @@ def measured_floor(
     cutoff_hz: of a low-pass without lag; that of the motion keeps impacts of both in step (Kristianslund et
     al. 2012). None: as measured.
     """
+    soles = _soles_of(motion, free)
+    heights = [to_world(plate.centre[None], vertical)[0, 2] for plate in plates.plates]
+    shape = len(motion.time_s), len(soles.feet)
+    force, moment = np.zeros((2, *shape, 3))
+    source = np.full(shape, ForceSource.NONE, dtype=np.uint8)
+    height_m = np.full(shape, np.mean(heights))
+    is_stair = np.ptp(heights) > LEVEL_M
+    notes = list(_notes_on_all(plates, motion.time_s, is_stair=is_stair))
+    for number, (plate, height) in enumerate(zip(plates.plates, heights, strict=True), 1):
+        load = _load_of(_zeroed(plate, plates.rate_hz), plates, vertical, motion.time_s, cutoff_hz)
+        corners = to_world(plate.corners, vertical)
+        for step in _steps(load.up, motion.time_s):
+            loaded, around = slice(step.begin, step.end), slice(step.first, step.last)
+            span_s = motion.time_s[step.begin], motion.time_s[step.end - 1]
+            c, away = _nearest_foot(load.pressure[loaded], soles.middles[loaded])
+            if not away < _FARTHEST_FOOT_M:
+                notes.append(_nobodys(number, *span_s, away))
+                continue
+            force[around, c] += load.force[around]
+            moment[around, c] += load.moment[around]
+            source[loaded, c] = ForceSource.MEASURED
+            height_m[loaded, c] = height
+            foot = soles.feet[c]
+            if not is_stair and _is_beside(soles.paths[loaded, soles.carriers == foot], corners):
+                notes.append(_partly_beside(motion.skeleton.segment_names[foot], number, *span_s))
+    return FloorForces(soles.feet, force, moment, source, height_m, tuple(notes))
+
+
+def _soles_of(motion: SmoothMotion, free: Dynamics) -> _Soles:
     on = feet(motion.skeleton)
     carriers, points = sole_points(motion.skeleton)
     paths = sole_paths(carriers, points, free.p_w, free.rotation_wb)
-    middles = np.stack([paths[:, carriers == s].mean(axis=1) for s in on], axis=1)  # (F, C, 3)
-    frames = len(motion.time_s)
-    samples = np.round((motion.time_s - plates.begins_s) * plates.rate_hz).astype(np.int64)
-    force, moment = np.zeros((2, frames, len(on), 3))
-    source = np.full((frames, len(on)), Source.NONE, dtype=np.uint8)
-    heights = [to_world(plate.centre[None], vertical)[0, 2] for plate in plates.plates]
-    height_m = np.full(source.shape, np.mean(heights))
-    notes: list[str] = []
-    is_stair = np.ptp(heights) > LEVEL_M
+    middles = np.stack([paths[:, carriers == s].mean(axis=1) for s in on], axis=1)
+    return _Soles(on, carriers, paths, middles)
+
+
+def _load_of(
+    plate: ForcePlate, plates: ForcePlates, vertical: str, time_s: FloatArray, cutoff_hz: float | None
+) -> _Load:
+    """Return what one of the plates shows at instants (F,) s; the nearest sample counts."""
+    samples = np.round((time_s - plates.begins_s) * plates.rate_hz).astype(np.int64)
+    is_sampled = (samples >= 0) & (samples < len(plate.force))
+    at = samples.clip(0, len(plate.force) - 1)
+    force, moment, pressure = _in_world(plate, vertical)
+    smooth_force, smooth_moment = (
+        low_pass(values, plates.rate_hz, cutoff_hz)[at] * is_sampled[:, None] for values in (force, moment)
+    )
+    return _Load(smooth_force, smooth_moment, force[at, 2] * is_sampled, pressure[at])
+
+
+def _notes_on_all(plates: ForcePlates, time_s: FloatArray, *, is_stair: bool) -> Iterator[str]:
+    """Yield what is to be known of all plates together, a sentence each."""
     if is_stair:
-        notes.append("The plates are of different heights: where a foot is on none, no force of it is known.")
-    lasts_s = len(plates.plates[0].force) / plates.rate_hz
-    if motion.time_s[0] > plates.begins_s + lasts_s or motion.time_s[-1] < plates.begins_s:
-        notes.append(
-            f"The plates were sampled from {plates.begins_s:.2f} to {plates.begins_s + lasts_s:.2f} s, the "
-            f"motion from {motion.time_s[0]:.2f} to {motion.time_s[-1]:.2f} s: no force of them is used."
+        yield "The plates are of different heights: where a foot is on none, no force of it is known."
+    ends_s = plates.begins_s + len(plates.plates[0].force) / plates.rate_hz
+    if time_s[0] > ends_s or time_s[-1] < plates.begins_s:
+        yield (
+            f"The plates were sampled from {plates.begins_s:.2f} to {ends_s:.2f} s, the motion from "
+            f"{time_s[0]:.2f} to {time_s[-1]:.2f} s: no force of them is used."
         )
-    for number, stored in enumerate(plates.plates, 1):
-        plate = _zeroed(stored, plates.rate_hz)
-        is_sampled = (samples >= 0) & (samples < len(plate.force))
-        at = samples.clip(0, len(plate.force) - 1)
-        turned = _in_world(plate, vertical)
-        smooth = [
-            low_pass(values, plates.rate_hz, cutoff_hz)[at] * is_sampled[:, None] for values in turned[:2]
-        ]
-        for begin, end, first, last in _steps(turned[0][at, 2] * is_sampled, motion.time_s):
-            c, away = _nearest_foot(turned[2][at[begin:end]], middles[begin:end])
-            if not away < _FARTHEST_FOOT_M:
-                notes.append(_nobodys(number, motion.time_s[begin], motion.time_s[end - 1], away))
-            else:
-                force[first:last, c] += smooth[0][first:last]
-                moment[first:last, c] += smooth[1][first:last]
-                source[begin:end, c] = Source.MEASURED
-                height_m[begin:end, c] = heights[number - 1]
-                own = to_world(plate.corners, vertical)
-                if not is_stair and _is_beside(paths[begin:end, carriers == on[c]], own):
-                    name = motion.skeleton.segment_names[on[c]].replace("_", " ")
-                    notes.append(
-                        f"The {name} stands partly beside plate {number} at {motion.time_s[begin]:.2f}–"
-                        f"{motion.time_s[end - 1]:.2f} s: its force is larger than measured."
-                    )
-    return FloorForces(on, force, moment, source, height_m, tuple(notes))
+
+
+def _partly_beside(foot: str, number: int, begin_s: float, end_s: float) -> str:
+    return (
+        f"The {foot.replace('_', ' ')} stands partly beside plate {number} at {begin_s:.2f}–{end_s:.2f} s: "
+        "its force is larger than measured."
+    )
 
 
 def _nobodys(number: int, begin_s: float, end_s: float, away_m: float) -> str:
@@ -102,7 +153,7 @@ def _nobodys(number: int, begin_s: float, end_s: float, away_m: float) -> str:
 
 
 def _zeroed(plate: ForcePlate, rate_hz: float) -> ForcePlate:
-    """Less what the plate shows when hardly anything is on it; as it is if that is never for long."""
+    """Return the plate less what it shows while empty; as it is if that is never for long."""
     is_empty = np.abs(plate.force).max(axis=1) < _EMPTY_N
     if is_empty.sum() < _SHORTEST_STEP_S * rate_hz:
         return plate
@@ -119,9 +170,8 @@ def _in_world(plate: ForcePlate, vertical: str) -> tuple[FloatArray, FloatArray,
     return turned[:, 0], turned[:, 1], turned[:, 2]
 
 
-def _steps(up: FloatArray, time_s: FloatArray) -> Iterator[tuple[int, int, int, int]]:
-    """Return first and past-last frame of each load, and of the time around it that is nearer to it than to
-    any other. up: (F,) N."""
+def _steps(up: FloatArray, time_s: FloatArray) -> Iterator[_Step]:
+    """Yield each load of a plate that lasts long enough for a step. up: (F,) N."""
     loaded = np.concatenate([[False], up > LEAST_FORCE_N, [False]]).astype(np.int8)
     begins, ends = np.flatnonzero(np.diff(loaded) == 1), np.flatnonzero(np.diff(loaded) == -1)
     interval = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
@@ -129,7 +179,8 @@ def _steps(up: FloatArray, time_s: FloatArray) -> Iterator[tuple[int, int, int, 
     begins, ends = begins[long], ends[long]
     between = (ends[:-1] + begins[1:]) // 2
     edges: IntArray = np.concatenate([[0], between, [len(up)]])
-    yield from zip(begins.tolist(), ends.tolist(), edges[:-1].tolist(), edges[1:].tolist(), strict=False)
+    spans = zip(begins.tolist(), ends.tolist(), edges[:-1].tolist(), edges[1:].tolist(), strict=False)
+    return itertools.starmap(_Step, spans)
 
 
 def _is_beside(sole: FloatArray, corners: FloatArray) -> bool:
@@ -145,7 +196,7 @@ def _is_beside(sole: FloatArray, corners: FloatArray) -> bool:
 
 
 def _nearest_foot(pressure: FloatArray, middles: FloatArray) -> tuple[int, float]:
-    """Index of the foot whose sole is nearest to the pressure over a step, and how far it is, m."""
+    """Return which foot's sole is nearest to the pressure over a step, and how far it is, m."""
     away = np.linalg.norm(pressure[:, None, :2] - middles[..., :2], axis=-1)
     mean = np.nanmean(away, axis=0)
     nearest = int(np.argmin(mean))

@@ -62,7 +62,9 @@ class SmoothMotion:
 def smooth_motion(
     skeleton: Skeleton, time_s: FloatArray, q_wb: FloatArray, root: FloatArray, cutoff_hz: float | None
 ) -> SmoothMotion:
-    """Of regular samples without NaN: time_s (F,), q_wb (F, S, 4), root (F, 3) m.
+    """Return the smooth motion through regular samples without NaN.
+
+    time_s: (F,); q_wb: (F, S, 4) segment to world; root: (F, 3) m, world; cutoff_hz: None: as recorded.
 
     Raises ``GatewayError`` for fewer than six frames, a motion shorter than two periods of the cut-off, or a
     cut-off at or beyond half the sampling rate.
@@ -83,9 +85,16 @@ def smooth_motion(
     values, first, second = (curve(time_s, nu).reshape(turned.shape) for nu in range(3))
     rotation, velocity, acceleration = rotation_derivatives(values, first, second)
     return SmoothMotion(
-        skeleton, time_s, cutoff_hz, path(time_s), path(time_s, 1), path(time_s, 2),
-        rotation, velocity, acceleration,
-    )  # fmt: skip
+        skeleton=skeleton,
+        time_s=time_s,
+        cutoff_hz=cutoff_hz,
+        root=path(time_s),
+        root_velocity=path(time_s, 1),
+        root_acceleration=path(time_s, 2),
+        rotation=rotation,
+        angular_velocity=velocity,
+        angular_acceleration=acceleration,
+    )
 
 
 def low_pass(values: FloatArray, rate_hz: float, cutoff_hz: float | None) -> FloatArray:
@@ -142,7 +151,7 @@ def product(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def conjugate(q: FloatArray) -> FloatArray:
-    """Of quaternions (…, 4)."""
+    """Return the conjugates of quaternions (…, 4)."""
     turned: FloatArray = q * np.array([1.0, -1.0, -1.0, -1.0])
     return turned
 
@@ -164,7 +173,7 @@ def relative(skeleton: Skeleton, q_wb: FloatArray) -> FloatArray:
 
 
 def _continuous(q: FloatArray) -> FloatArray:
-    """Of each rotation's two quaternions the one nearer to that of the instant before; (F, S, 4)."""
+    """Return of each rotation's two quaternions the one nearer to that of the instant before, (F, S, 4)."""
     flips = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0.0, -1.0, 1.0)
     signs = np.concatenate([np.ones((1, q.shape[1])), np.cumprod(flips, axis=0)])
     continuous: FloatArray = q * signs[:, :, None]

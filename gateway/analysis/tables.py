@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.cycles import PERCENT, Stride
-from gateway.analysis.floor import Source
+from gateway.analysis.floor import ForceSource
 from gateway.analysis.gait import GaitEvent, gait_events
 from gateway.analysis.gait_curves import gait_curves
 from gateway.analysis.muscles import MuscleResult
 from gateway.recording.exporters.tables import write_csv_columns, write_parquet_columns
 
 Columns = dict[str, NDArray[Any]]
-_SOURCES = np.array([source.name.lower() for source in Source])
+_SOURCES = np.array([source.name.lower() for source in ForceSource])
 WRITERS = {"csv": write_csv_columns, "parquet": write_parquet_columns}
 """By the ending of the files."""
 
@@ -44,7 +44,7 @@ def write_tables(found: Analysis, muscles: MuscleResult | None, folder: Path, ki
 
 
 def tables(found: Analysis, muscles: MuscleResult | None = None) -> dict[str, Columns]:
-    """By name of the file: columns (F,) by name."""
+    """Return the tables by name of the file: columns (F,) by name."""
     made = {
         "joints": _joints(found),
         "segments": _segments(found),

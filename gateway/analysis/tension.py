@@ -27,7 +27,7 @@ class TensionSolver:
     """W muscles against R torques, instant by instant."""
 
     def __init__(self, peak_force: FloatArray, n_torques: int, weight: FloatArray) -> None:
-        """peak_force: (W,) N. weight: (W,) at least, of the squared activity."""
+        """Build the problem once. peak_force: (W,) N. weight: (W,) at least, of the squared activity."""
         self._peak, self._count = peak_force, n_torques
         self._solver: Any = None
         self._base_weight = weight

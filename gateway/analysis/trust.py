@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.analysis.floor import FloorForces, Source, feet
+from gateway.analysis.floor import FloorForces, ForceSource, feet
 from gateway.analysis.inverse_dynamics import Dynamics
 from gateway.analysis.smooth_motion import SmoothMotion
 from gateway.body.inertia import BodyInertia
@@ -35,16 +35,16 @@ def trust_notes(
             f"The body carries {100 * inertia.share:.0f} % of the person: floor forces are not estimated, "
             "and what is left over at the root is the part that is not there."
         )
-    if has_feet and not np.isin(floor.source, (Source.MEASURED, Source.ESTIMATED)).any():
+    if has_feet and not np.isin(floor.source, (ForceSource.MEASURED, ForceSource.ESTIMATED)).any():
         notes.append(
             "No floor force is known: the torques of the legs, and their muscles, are those of legs that "
             "hang in the air. Give force plates with --forces, or record the whole body."
         )
-    for source, word in ((Source.MEASURED, "measured"), (Source.ESTIMATED, "estimated")):
+    for source, word in ((ForceSource.MEASURED, "measured"), (ForceSource.ESTIMATED, "estimated")):
         share = float((floor.source == source).any(axis=1).mean()) if floor.source.size else 0.0
         if share:
             notes.append(f"Floor forces are {word} in {100 * share:.0f} % of the frames.")
-    unknown = (floor.source == Source.UNKNOWN).any(axis=1)
+    unknown = (floor.source == ForceSource.UNKNOWN).any(axis=1)
     if unknown.any():
         notes.append(
             f"In {100 * float(unknown.mean()):.0f} % of the frames a foot stands whose force nothing tells: "
@@ -61,7 +61,10 @@ def _is_held(motion: SmoothMotion, dynamics: Dynamics) -> bool:
 
 
 def _left_over(dynamics: Dynamics, weight_n: float, is_explained: bool) -> list[str]:
-    """is_explained: whether floor forces ought to explain the whole motion."""
+    """Return sentences on what no force explains.
+
+    is_explained: whether floor forces ought to explain the whole motion.
+    """
     left = np.linalg.norm(dynamics.residual_force, axis=1)
     rms = float(np.sqrt(np.mean(left**2)))
     notes = [

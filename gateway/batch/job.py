@@ -12,7 +12,7 @@ from pathlib import Path
 
 import gateway
 from devices.link import LinkError
-from gateway.batch.kinds import REPORT, SOLVED
+from gateway.batch import REPORT, SOLVED
 from gateway.errors import GatewayError
 from gateway.recording import Recording, open_recording
 from gateway.recording.exporters.formats import FORMATS, Axes
@@ -67,7 +67,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class JobResult:
     """What became of a job."""
 
     name: str
@@ -84,7 +84,7 @@ def partial_folder(job: Job, process: int | None) -> Path:
     return job.folder / f".partial-{process}-{job.source.stem}"
 
 
-def perform(job: Job) -> Outcome:
+def perform(job: Job) -> JobResult:
     """Do it. Never raises for what is wrong with one recording: that is its outcome."""
     begun = time.perf_counter()
     partial = partial_folder(job, os.getpid())
@@ -96,10 +96,10 @@ def perform(job: Job) -> Outcome:
             outputs[path.name] = path.stat().st_size
             # Moved only when all are whole, so that no half file is ever left.
             os.replace(path, job.folder / path.name)
-        return Outcome(job.name, outputs, time.perf_counter() - begun, note=note)
+        return JobResult(job.name, outputs, time.perf_counter() - begun, note=note)
     except (GatewayError, LinkError, OSError, ValueError, MemoryError) as error:
         what = str(error).splitlines()[0] if str(error) else type(error).__name__
-        return Outcome(job.name, seconds=time.perf_counter() - begun, error=what)
+        return JobResult(job.name, seconds=time.perf_counter() - begun, error=what)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 

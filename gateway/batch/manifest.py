@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from gateway.batch.job import Job, Outcome
+from gateway.batch.job import Job, JobResult
 from gateway.support.whole_files import writing
 
 NAME = "manifest.jsonl"
@@ -44,7 +44,7 @@ class Manifest:
             _size(job.folder / name) == size for name, size in entry.get("outputs", {}).items()
         )
 
-    def add(self, job: Job, outcome: Outcome) -> None:
+    def add(self, job: Job, outcome: JobResult) -> None:
         """Remember a finished job, on the disk when this returns."""
         entry = {
             "name": job.name,

@@ -19,7 +19,7 @@ from typing import Any
 
 from devices import recording_format as fmt
 from devices.extras import how_to_add
-from gateway.batch.job import Job, Outcome, Task, partial_folder, perform
+from gateway.batch.job import Job, JobResult, Task, partial_folder, perform
 from gateway.errors import GatewayError
 
 _LATER_PART = re.compile(r"(.+)_part\d+$")
@@ -52,7 +52,7 @@ def jobs_in(folder: Path, results: Path, task: Task) -> list[Job]:
 
 def run_jobs(
     jobs: Sequence[Job],
-    done: Callable[[Job, Outcome], None],
+    done: Callable[[Job, JobResult], None],
     workers: int | None = None,
     dask: str | None = None,
 ) -> None:
@@ -76,7 +76,7 @@ def run_jobs(
     for job in died:
         with contextlib.closing(_performed(_processes(1), [job])) as performed:
             for _, outcome in performed:
-                done(job, outcome or Outcome(job.name, error=DIED))
+                done(job, outcome or JobResult(job.name, error=DIED))
 
 
 def _processes(count: int) -> Executor:
@@ -86,7 +86,7 @@ def _processes(count: int) -> Executor:
 
 def _performed(
     executor: AbstractContextManager[Executor], jobs: Sequence[Job]
-) -> Generator[tuple[Job, Outcome | None], None, None]:
+) -> Generator[tuple[Job, JobResult | None], None, None]:
     """Yield jobs as they end; None in place of an outcome where the process that had it died."""
     # Processes that were there before are not this pool's, and are not ended here.
     others = multiprocessing.active_children()
@@ -137,7 +137,7 @@ def _end(processes: Sequence[BaseProcess], jobs: Sequence[Job]) -> None:
             shutil.rmtree(partial_folder(job, process.pid), ignore_errors=True)
 
 
-def _on_dask(jobs: Sequence[Job], done: Callable[[Job, Outcome], None], address: str) -> None:
+def _on_dask(jobs: Sequence[Job], done: Callable[[Job, JobResult], None], address: str) -> None:
     with connected_client(address) as client:
         executor = client.get_executor(pure=False, retries=1)
         futures = {executor.submit(perform, job): job for job in jobs}
@@ -146,7 +146,7 @@ def _on_dask(jobs: Sequence[Job], done: Callable[[Job, Outcome], None], address:
             try:
                 outcome = future.result()
             except Exception as error:  # whatever a cluster raises for a worker that is gone
-                outcome = Outcome(job.name, error=f"Dask: {type(error).__name__}: {error}")
+                outcome = JobResult(job.name, error=f"Dask: {type(error).__name__}: {error}")
             done(job, outcome)
 
 

@@ -111,7 +111,7 @@ def mannequin_of(skeleton: Skeleton) -> Mannequin | None:
 def _parts(
     part: str, skeleton: Skeleton, s: int
 ) -> list[tuple[FloatArray, FloatArray, tuple[float, float, float]]]:
-    """Turn, centre and half sizes of what a segment consists of."""
+    """Return turn, centre and half sizes, m, of what a segment consists of."""
     tip = skeleton.tips[s]
     length = float(np.linalg.norm(tip))
     # A segment without length has no direction in which a part could lie.

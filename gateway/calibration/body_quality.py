@@ -9,10 +9,10 @@ import numpy as np
 from devices.deferred import Rotation
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.axes import MovementAxis
-from gateway.calibration.body_result import ModuleFindings
+from gateway.calibration.body_result import ModuleEvidence
 from gateway.calibration.body_solver import Solution
 from gateway.calibration.procedure import pose_rotation
-from gateway.calibration.quality import Finding, Quality, graded, judged
+from gateway.calibration.quality import Quality, QualityAspect, graded, judged
 from gateway.frames import FloatArray
 
 STEP_NAMES = {"n_pose": "the N-pose", "t_pose": "the T-pose", "left_leg": "the left leg's step"}
@@ -31,7 +31,7 @@ _ROTATION = (3.5, 9.0)  # degrees
 
 
 def judge_module(
-    found: ModuleFindings, expected: set[str], solution: Solution, segment: int, suit: WornSuit
+    found: ModuleEvidence, expected: set[str], solution: Solution, segment: int, suit: WornSuit
 ) -> Quality:
     """Return how well one module is calibrated, with reasons in words.
 
@@ -48,50 +48,52 @@ def judge_module(
     return judged(*findings)
 
 
-def _presence(found: ModuleFindings, name: str) -> Iterator[Finding]:
+def _presence(found: ModuleEvidence, name: str) -> Iterator[QualityAspect]:
     if found.unreceived:
         steps = ", ".join(STEP_NAMES[step] for step in found.unreceived)
-        yield Finding(0.0, f"module {found.module} ({name}) was not heard during {steps}: is it in reach?")
+        yield QualityAspect(
+            0.0, f"module {found.module} ({name}) was not heard during {steps}: is it in reach?"
+        )
     else:
-        yield Finding(1.0 if found.poses else 0.0, f"{name} was in no pose: do the N-pose with all on")
+        yield QualityAspect(1.0 if found.poses else 0.0, f"{name} was in no pose: do the N-pose with all on")
     if found.has_no_heading:
-        yield Finding(
+        yield QualityAspect(
             0.0, f"{name} has neither a steady field nor a movement that tells its heading: do all the steps"
         )
 
 
-def _still(found: ModuleFindings, name: str) -> Iterator[Finding]:
+def _still(found: ModuleEvidence, name: str) -> Iterator[QualityAspect]:
     for step, pose in found.poses.items():
         moved = float(np.degrees(pose.moved_rad))
-        yield Finding(
+        yield QualityAspect(
             graded(moved, *_MOVED),
             f"{name} moved during {STEP_NAMES[step]} by {moved:.0f}°: stand still, and do it again",
         )
-        yield Finding(
+        yield QualityAspect(
             graded(pose.shaken, *_SHAKEN),
             f"{name} was shaken during {STEP_NAMES[step]} ({pose.shaken:.1f} m/s²): is it strapped tightly?",
         )
 
 
-def _field(found: ModuleFindings, name: str) -> Iterator[Finding]:
+def _field(found: ModuleEvidence, name: str) -> Iterator[QualityAspect]:
     if found.earth_field is None:
         return
-    yield Finding(
+    yield QualityAspect(
         graded(found.earth_field.change, *_FIELD),
         f"the field at {name} changed by {100 * found.earth_field.change:.0f} %: "
         "go away from iron, cables and loudspeakers, or use --no-field",
     )
 
 
-def _movement(movement: MovementAxis | None, step: str, name: str) -> Iterator[Finding]:
+def _movement(movement: MovementAxis | None, step: str, name: str) -> Iterator[QualityAspect]:
     size = 0.0 if movement is None else float(np.degrees(movement.range_rad))
-    yield Finding(
+    yield QualityAspect(
         graded(size, *_RANGE),
         f"the movement of {name} in {step} was too small ({size:.0f}°): at least {_RANGE[0]:.0f}° are needed",
     )
     if movement is not None and size > _RANGE[1]:
         spread = float(np.degrees(movement.spread_rad))
-        yield Finding(
+        yield QualityAspect(
             graded(spread, *_SPREAD),
             f"the axis of {name} in {step} was not repeatable ({spread:.0f}° between the repetitions): "
             "move straight forward and back",
@@ -99,8 +101,8 @@ def _movement(movement: MovementAxis | None, step: str, name: str) -> Iterator[F
 
 
 def _against_poses(
-    found: ModuleFindings, solution: Solution, segment: int, suit: WornSuit, name: str
-) -> Iterator[Finding]:
+    found: ModuleEvidence, solution: Solution, segment: int, suit: WornSuit, name: str
+) -> Iterator[QualityAspect]:
     neutral = Rotation.from_rotvec([0, 0, solution.facing]) * Rotation.from_quat(
         suit.skeleton.neutral, scalar_first=True
     )
@@ -111,19 +113,19 @@ def _against_poses(
         stood = own * Rotation.from_matrix(pose.R_es) * R_bs.inv()
         off = float(np.degrees(((neutral * Rotation.from_rotvec(turn)).inv() * stood).magnitude()))
         limits = _OFF_POSE_ARMS if turn.any() else _OFF_POSE
-        yield Finding(
+        yield QualityAspect(
             graded(off, *limits),
             f"{name} was {off:.0f}° away from {STEP_NAMES[step]} by what the movements say: hold it as drawn",
         )
 
 
-def _certainty(solution: Solution, segment: int, name: str) -> Iterator[Finding]:
+def _certainty(solution: Solution, segment: int, name: str) -> Iterator[QualityAspect]:
     degrees, metres = np.degrees(solution.rotation_sigma[segment]), float(solution.place_sigma[segment])
-    yield Finding(
+    yield QualityAspect(
         graded(float(degrees), *_ROTATION),
         f"the orientation of {name} is uncertain by {degrees:.1f}°: do the movements that turn it",
     )
-    yield Finding(
+    yield QualityAspect(
         graded(metres, *_JOINT),
         f"the place of {name} is uncertain by {100 * metres:.1f} cm: do the free movement, about all axes",
     )

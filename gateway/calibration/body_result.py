@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 
 from gateway.calibration.axes import MovementAxis
-from gateway.calibration.evidence import FieldHeading, Pose
+from gateway.calibration.evidence import FieldHeading, HeldPose
 from gateway.calibration.quality import Quality
 from gateway.errors import GatewayError, nearest
 from gateway.frames import FloatArray
 
 
 @dataclass
-class ModuleFindings:
+class ModuleEvidence:
     """What one module did in the steps, before anything is solved."""
 
     segment: str
     module: int
-    poses: dict[str, Pose] = field(default_factory=dict)
+    poses: dict[str, HeldPose] = field(default_factory=dict)
     movements: dict[str, MovementAxis | None] = field(default_factory=dict)
     """By step; None: it did not turn at all."""
     earth_field: FieldHeading | None = None

@@ -10,7 +10,7 @@ import numpy as np
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.axes import hinge_axes, movement_axis
 from gateway.calibration.body_quality import judge_module
-from gateway.calibration.body_result import BodyResult, ModuleFindings, ModuleResult
+from gateway.calibration.body_result import BodyResult, ModuleEvidence, ModuleResult
 from gateway.calibration.body_solver import (
     ARMS_UP_SIGMA,
     AXIS_SIGMA,
@@ -22,9 +22,9 @@ from gateway.calibration.body_solver import (
     Solution,
     solve_body,
 )
-from gateway.calibration.evidence import Readings, Span, field_heading, pose_of, readings_of
+from gateway.calibration.evidence import EvenSamples, Span, even_samples, field_heading, pose_of
 from gateway.calibration.joint_centres import JointEquations, joint_equations, side
-from gateway.calibration.procedure import Kind, Step, pose_rotation, procedure_for
+from gateway.calibration.procedure import Step, StepKind, pose_rotation, procedure_for
 from gateway.errors import GatewayError, nearest
 from gateway.frames import FloatArray, ImuFrame
 from gateway.geometry import quaternion
@@ -140,7 +140,7 @@ class BodySession:
     def result(self) -> BodyResult:
         """Return what the steps done so far give. Takes a second or two. Raises ``GatewayError``."""
         try:
-            readings = readings_of(list(self._frames), self.suit)
+            readings = even_samples(list(self._frames), self.suit)
             findings = [self._examine(readings, m) for m in range(len(self._segments))]
             solution = solve_body(self._problem(readings, findings))
         except ValueError as error:
@@ -158,10 +158,10 @@ class BodySession:
             chosen.append(names.index(segment))
         return tuple(chosen)
 
-    def _examine(self, readings: Readings, module: int) -> ModuleFindings:
+    def _examine(self, readings: EvenSamples, module: int) -> ModuleEvidence:
         """Return all that one module did by itself."""
         segment = self.suit.skeleton.segment_names[self._segments[module]]
-        found = ModuleFindings(segment, self.suit.module_ids[module])
+        found = ModuleEvidence(segment, self.suit.module_ids[module])
         pose_spans = []
         for step in self.steps:
             span = self.spans.get((step.name, module))
@@ -169,12 +169,12 @@ class BodySession:
                 continue
             if not readings.is_received(module, span):
                 found.unreceived.append(step.name)
-            elif step.kind is Kind.POSE:
+            elif step.kind is StepKind.POSE:
                 pose = pose_of(readings, module, span)
                 if pose is not None:
                     found.poses[step.name] = pose
                     pose_spans.append(span)
-            elif step.kind is Kind.MOVEMENT and segment in step.turns:
+            elif step.kind is StepKind.MOVEMENT and segment in step.turns:
                 rate = readings.angular_rate[readings.rows(span), module]
                 found.movements[step.name] = movement_axis(rate, readings.interval_s)
 
@@ -184,7 +184,7 @@ class BodySession:
             found.earth_field = field_heading(readings, module, pose_spans, self.suit.magnetic_field, others)
         return found
 
-    def _problem(self, readings: Readings, findings: list[ModuleFindings]) -> Problem:
+    def _problem(self, readings: EvenSamples, findings: list[ModuleEvidence]) -> Problem:
         skeleton = self.suit.skeleton
         neutral = quaternion.to_matrix(skeleton.neutral)
         poses, axes, fields = [], [], {}
@@ -222,7 +222,7 @@ class BodySession:
             skeleton.parents, self.suit.lever_arms, skeleton.offsets, poses, axes, fields, equations
         )
 
-    def _axis_terms(self, segment: int, found: ModuleFindings) -> list[AxisTerm]:
+    def _axis_terms(self, segment: int, found: ModuleEvidence) -> list[AxisTerm]:
         """Return the axes of movements that were large and regular enough to give one."""
         terms = []
         for name, movement in found.movements.items():
@@ -233,7 +233,7 @@ class BodySession:
                 terms.append(AxisTerm(segment, movement.axis, sign, sigma))
         return terms
 
-    def _hinges(self, readings: Readings, known: set[int], joined: set[int]) -> list[AxisTerm]:
+    def _hinges(self, readings: EvenSamples, known: set[int], joined: set[int]) -> list[AxisTerm]:
         """Return the knees' axes in the free movement, for segments without an axis of another movement.
 
         A knee bends about -z, starting from standing.
@@ -263,10 +263,10 @@ class BodySession:
                 ]
         return terms
 
-    def _equations(self, readings: Readings, used: set[int]) -> Mapping[int, JointEquations]:
+    def _equations(self, readings: EvenSamples, used: set[int]) -> Mapping[int, JointEquations]:
         """Return the equations of all joints between two modules, from every step that was a movement."""
         found: dict[int, JointEquations] = {}
-        moving = [step.name for step in self.steps if step.kind is not Kind.POSE]
+        moving = [step.name for step in self.steps if step.kind is not StepKind.POSE]
         module_of = {segment: module for module, segment in enumerate(self._segments)}
         for child, parent in enumerate(self.suit.skeleton.parents.tolist()):
             if not {child, parent} <= used:
@@ -295,11 +295,13 @@ class BodySession:
                 found[child] = joint_equations(kept[0], kept[1])
         return found
 
-    def _judged(self, findings: list[ModuleFindings], solution: Solution) -> BodyResult:
+    def _judged(self, findings: list[ModuleEvidence], solution: Solution) -> BodyResult:
         modules = []
         for segment, found in zip(self._segments, findings, strict=True):
             expected = {
-                step.name for step in self.steps if step.kind is Kind.MOVEMENT and found.segment in step.turns
+                step.name
+                for step in self.steps
+                if step.kind is StepKind.MOVEMENT and found.segment in step.turns
             }
             quality = judge_module(found, expected & set(self.done), solution, segment, self.suit)
             q_bs: FloatArray = solution.sensor_to_segment[segment]

@@ -22,7 +22,7 @@ _AVERAGED = 15  # instants, of a field strength
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
+class EvenSamples:
     """All modules on one even grid of T instants, sensor axes."""
 
     time_ns: FloatArray  # (T,) gateway time
@@ -43,7 +43,7 @@ class Readings:
         return bool(len(has_sample)) and float(has_sample.mean()) >= _FEWEST
 
 
-def readings_of(frames: Sequence[ImuFrame], suit: WornSuit) -> Readings:
+def even_samples(frames: Sequence[ImuFrame], suit: WornSuit) -> EvenSamples:
     """Resample frames evenly, with orientations. Raises ``ValueError`` for less than a second of them."""
     times = np.array([frame.time_ns for frame in frames], dtype=np.float64)
     if len(frames) < 20 or times[-1] - times[0] < 1e9:
@@ -77,7 +77,7 @@ def readings_of(frames: Sequence[ImuFrame], suit: WornSuit) -> Readings:
         # The bias found over the whole recording is better than any that was known before.
         even_rate[:, m] -= solved["bias"]
         R_es[:, m] = Rotation.from_quat(solved["quat6D"], scalar_first=True).as_matrix()
-    return Readings(grid, interval_ns * 1e-9, even_force, even_rate, even_field, has_sample, R_es)
+    return EvenSamples(grid, interval_ns * 1e-9, even_force, even_rate, even_field, has_sample, R_es)
 
 
 def _evenly(grid: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
@@ -91,7 +91,7 @@ def _near(grid: FloatArray, times: FloatArray, longest: float) -> BoolArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class HeldPose:
     """One module during one pose."""
 
     R_es: FloatArray
@@ -102,7 +102,7 @@ class Pose:
     """Standard deviation of the specific force, m/s²."""
 
 
-def pose_of(readings: Readings, module: int, span: Span) -> Pose | None:
+def pose_of(readings: EvenSamples, module: int, span: Span) -> HeldPose | None:
     """Return None when the module was not heard."""
     if not readings.is_received(module, span):
         return None
@@ -111,7 +111,7 @@ def pose_of(readings: Readings, module: int, span: Span) -> Pose | None:
     mean = rotations.mean()
     moved = (mean.inv() * rotations).magnitude()
     shaken = float(readings.specific_force[rows, module].std(axis=0).max())
-    return Pose(mean.as_matrix(), float(moved.max()), shaken)
+    return HeldPose(mean.as_matrix(), float(moved.max()), shaken)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class FieldHeading:
 
 
 def field_heading(
-    readings: Readings,
+    readings: EvenSamples,
     module: int,
     poses: Sequence[Span],
     field: FloatArray,

@@ -39,7 +39,7 @@ def _skew(v: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class ModuleView:
     """One module's view, evenly sampled."""
 
     force: FloatArray
@@ -50,15 +50,15 @@ class Side:
     """(n, 3, 3) sensor axes to a level world of the module's own heading."""
 
 
-def side(force: FloatArray, rate: FloatArray, R_es: FloatArray, interval_s: float) -> Side:
+def side(force: FloatArray, rate: FloatArray, R_es: FloatArray, interval_s: float) -> ModuleView:
     """Return force and rate (n, 3) smoothed alike, so that the derivative belongs to both."""
     smooth_rate, smooth_force = _smoothed(rate), _smoothed(force)
     derivative = np.gradient(smooth_rate, interval_s, axis=0)
-    return Side(smooth_force, lever_matrix(smooth_rate, derivative), R_es)
+    return ModuleView(smooth_force, lever_matrix(smooth_rate, derivative), R_es)
 
 
 def _smoothed(values: FloatArray) -> FloatArray:
-    """Twice a running mean: (n, 3) to the same shape."""
+    """Return values (n, 3) after a running mean, twice."""
     kernel = np.convolve(np.full(_SMOOTH // 2 + 1, 1.0), np.full(_SMOOTH // 2 + 1, 1.0))
     kernel /= kernel.sum()
     pad = len(kernel) // 2
@@ -116,7 +116,7 @@ def _left_at(equations: JointEquations, heading: float) -> float:
     return float(np.sum((design @ rho - target) ** 2))
 
 
-def joint_equations(first: Side, second: Side) -> JointEquations:
+def joint_equations(first: ModuleView, second: ModuleView) -> JointEquations:
     """Fold the equations of all instants at which both modules were heard."""
     ours = np.concatenate([first.force[:, :, None], -first.gamma], axis=2)  # (n, 3, 4)
     theirs = np.concatenate([second.force[:, :, None], -second.gamma], axis=2)

@@ -26,7 +26,7 @@ _SEEN = 0.5
 """Share of the poses in which a segment must be known."""
 
 
-class Verdict(StrEnum):
+class MovementVerdict(StrEnum):
     """How a segment did."""
 
     FOLLOWS = "follows"
@@ -64,11 +64,11 @@ MOVEMENTS: tuple[Movement, ...] = (
 """The stretched limb forward; the trunk bent forward."""
 
 
-class Seen(NamedTuple):
+class SegmentMovement(NamedTuple):
     """How one segment did in a movement."""
 
     segment: str
-    verdict: Verdict
+    verdict: MovementVerdict
     most: float
     """Largest component of its axis forward, -1 to 1; 0 where nothing is known."""
 
@@ -100,15 +100,17 @@ class MovementCheck:
             axis = quaternion.rotate(np.array(known, np.float64), self.movement.axis)
             seen.append(float(axis @ ahead) / length)
 
-    def seen(self) -> list[Seen]:
+    def seen(self) -> list[SegmentMovement]:
         """Return how every segment of the movement did, so far."""
         return [self._judged(name, forward) for name, forward in self._forward.items()]
 
-    def _judged(self, name: str, forward: list[float]) -> Seen:
+    def _judged(self, name: str, forward: list[float]) -> SegmentMovement:
         if not forward or len(forward) < _SEEN * self._poses:
-            return Seen(name, Verdict.UNKNOWN, 0.0)
+            return SegmentMovement(name, MovementVerdict.UNKNOWN, 0.0)
         most, least = max(forward), min(forward)
         if most >= _FAR_ENOUGH and most >= -least:
-            return Seen(name, Verdict.DOUBTFUL if name in self._doubtful else Verdict.FOLLOWS, most)
-        verdict = Verdict.OPPOSITE if least <= -_FAR_ENOUGH else Verdict.STILL
-        return Seen(name, verdict, most)
+            return SegmentMovement(
+                name, MovementVerdict.DOUBTFUL if name in self._doubtful else MovementVerdict.FOLLOWS, most
+            )
+        verdict = MovementVerdict.OPPOSITE if least <= -_FAR_ENOUGH else MovementVerdict.STILL
+        return SegmentMovement(name, verdict, most)

@@ -16,10 +16,10 @@ from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 
-__all__ = ["GET_READY_S", "PROCEDURE", "Kind", "Step", "pose_rotation", "procedure_for"]
+__all__ = ["GET_READY_S", "PROCEDURE", "Step", "StepKind", "pose_rotation", "procedure_for"]
 
 
-class Kind(Enum):
+class StepKind(Enum):
     """What a step is evaluated for."""
 
     POSE = "pose"
@@ -34,7 +34,7 @@ class Step:
     """One thing to do."""
 
     name: str
-    kind: Kind
+    kind: StepKind
     seconds: float
     instruction: str
     turns: Mapping[str, int] = field(default_factory=dict)
@@ -53,47 +53,47 @@ def _leg(side: str) -> dict[str, int]:
 PROCEDURE: tuple[Step, ...] = (
     Step(
         "n_pose",
-        Kind.POSE,
+        StepKind.POSE,
         _SECONDS["n_pose"],
         "stand upright and still, feet parallel and a hip's width apart, arms hanging, palms to the thighs",
     ),
     Step(
         "t_pose",
-        Kind.POSE,
+        StepKind.POSE,
         _SECONDS["t_pose"],
         "the same with both arms spread out level, palms down; still again",
     ),
     Step(
         "squat",
-        Kind.MOVEMENT,
+        StepKind.MOVEMENT,
         _SECONDS["squat"],
         "twice down into the knees and up again, the whole trunk and head leaning forward with it",
         _TRUNK,
     ),
     Step(
         "left_leg",
-        Kind.MOVEMENT,
+        StepKind.MOVEMENT,
         _SECONDS["left_leg"],
         "the stretched left leg forward, then the left knee up, and both again; straight ahead",
         _leg("left"),
     ),
     Step(
         "right_leg",
-        Kind.MOVEMENT,
+        StepKind.MOVEMENT,
         _SECONDS["right_leg"],
         "the same with the right leg",
         _leg("right"),
     ),
     Step(
         "arms",
-        Kind.MOVEMENT,
+        StepKind.MOVEMENT,
         _SECONDS["arms"],
         "both stretched arms twice forward and up, parallel, palms to each other",
         _ARMS,
     ),
     Step(
         "free",
-        Kind.FREE,
+        StepKind.FREE,
         _SECONDS["free"],
         "everything, briskly: circle hips, shoulders, arms; bend elbows, wrists, trunk, head; swing the legs",
     ),
@@ -112,7 +112,8 @@ def procedure_for(skeleton: Skeleton) -> tuple[Step, ...]:
     return tuple(
         step
         for step in PROCEDURE
-        if (step.kind is not Kind.MOVEMENT or names & set(step.turns)) and (step.name != "t_pose" or has_arms)
+        if (step.kind is not StepKind.MOVEMENT or names & set(step.turns))
+        and (step.name != "t_pose" or has_arms)
     )
 
 

@@ -9,7 +9,7 @@ GOOD, FAIR = 0.7, 0.4
 
 
 @dataclass(frozen=True)
-class Finding:
+class QualityAspect:
     """One thing that was looked at."""
 
     score: float
@@ -33,7 +33,7 @@ class Quality:
         return "good" if self.score >= GOOD else "fair" if self.score >= FAIR else "poor"
 
 
-def judged(*findings: Finding) -> Quality:
+def judged(*findings: QualityAspect) -> Quality:
     """Return the quality that findings add up to."""
     ordered = sorted(findings, key=lambda finding: finding.score)
     return Quality(ordered[0].score, tuple(f.reason for f in ordered if f.score < GOOD))

@@ -204,7 +204,7 @@ def combined(results: dict[str, Result | str], kept: SensorCalibration | None = 
     return replace(kept, **fields)  # type: ignore[arg-type]  # the names are those of arrays
 
 
-class Advice(NamedTuple):
+class NextAdvice(NamedTuple):
     """What the suit as a whole wants next."""
 
     key: str
@@ -212,21 +212,21 @@ class Advice(NamedTuple):
     modules: tuple[int, ...] = ()
 
 
-def advice_on(session: SensorSession, progress: Mapping[int, Progress]) -> Advice:
+def advice_on(session: SensorSession, progress: Mapping[int, Progress]) -> NextAdvice:
     """Return what to do next, by how far all modules are."""
     sampled = [one for one in progress.values() if one.samples]
     if not sampled:
-        return Advice("listen")
+        return NextAdvice("listen")
     if "gyroscope" in session.sensors and any(one.rest_s < REST_S for one in sampled):
-        return Advice("rest")
+        return NextAdvice("rest")
     if "accelerometer" in session.sensors and any(
         one.positions < session.wanted_positions or one.sides_missing for one in sampled
     ):
-        return Advice("other_side" if all(one.is_at_rest for one in sampled) else "hold")
+        return NextAdvice("other_side" if all(one.is_at_rest for one in sampled) else "hold")
     if "magnetometer" in session.sensors and any(one.coverage < ENOUGH_COVERAGE for one in sampled):
-        return Advice("turn")
+        return NextAdvice("turn")
     silent = tuple(module for module, one in progress.items() if not one.samples)
-    return Advice("silent", silent) if silent else Advice("enough")
+    return NextAdvice("silent", silent) if silent else NextAdvice("enough")
 
 
 def usable(results: dict[str, Result | str], with_poor: bool) -> dict[str, Result | str]:

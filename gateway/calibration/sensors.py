@@ -9,7 +9,7 @@ import numpy as np
 
 from gateway.calibration.coverage import SIDES, evenly, missing_sides
 from gateway.calibration.ellipsoid import EllipsoidFit, Shape, fit_ellipsoid
-from gateway.calibration.quality import Finding, Quality, graded, judged
+from gateway.calibration.quality import Quality, QualityAspect, graded, judged
 from gateway.calibration.rest import RestStretch
 from gateway.frames import FloatArray
 
@@ -58,15 +58,15 @@ def gyroscope_bias(stretches: Sequence[RestStretch], wanted_s: float = 3.0) -> G
         bias,
         rest_s,
         judged(
-            Finding(
+            QualityAspect(
                 graded(rest_s, wanted_s, 0.5),
                 f"lay still for only {rest_s:.1f} s: leave it untouched for {wanted_s:.0f} s",
             ),
-            Finding(
+            QualityAspect(
                 graded(np.degrees(wander), 0.15, 1.5),
                 f"angular rate at rest changed by {np.degrees(wander):.2f}°/s: it was moved, or warms up",
             ),
-            Finding(
+            QualityAspect(
                 graded(float(np.degrees(np.abs(bias).max())), 5.0, 12.0),
                 f"a bias of {np.degrees(np.abs(bias).max()):.1f}°/s is unusual: was it really at rest?",
             ),
@@ -152,25 +152,25 @@ def _accelerometer_quality(fit: EllipsoidFit, positions: FloatArray, gravity: fl
     residual = gravity * fit.residual
     scale = float(np.abs(np.linalg.svd(fit.matrix, compute_uv=False) - 1.0).max())
     return judged(
-        Finding(
+        QualityAspect(
             graded(len(positions), POSITIONS_FOR_ALL, 3),
             f"only {len(positions)} positions: axes' misalignment needs {POSITIONS_FOR_ALL}",
         ),
-        Finding(
+        QualityAspect(
             1.0 - 0.35 * len(missing), f"it never lay with {', '.join(missing)} up: turn it to that side too"
         ),
-        Finding(
+        QualityAspect(
             graded(residual, 0.05, 0.5),
             f"|f| is still off by {residual:.2f} m/s² at rest: it was touched, or the table shakes",
         ),
-        Finding(
+        QualityAspect(
             graded(scale, 0.08, 0.25), f"a scale error of {100 * scale:.0f} % is unusual: is the range right?"
         ),
     )
 
 
 def magnetometer_ellipsoid(readings: FloatArray, strength: float) -> EllipsoidResult:
-    """Hard and soft iron from readings (n, 3) µT of a module turned in all directions.
+    """Return hard and soft iron from readings (n, 3) µT of a module turned in all directions.
 
     strength: of the undisturbed field, µT. Raises ``ValueError`` when the module was hardly turned.
     """
@@ -197,19 +197,19 @@ def _magnetometer_quality(fit: EllipsoidFit, readings: FloatArray, strength: flo
     axes = np.linalg.svd(fit.matrix, compute_uv=False)
     uncertain = float(fit.bias_sigma.max())
     return judged(
-        Finding(
+        QualityAspect(
             graded(fit.coverage, _GOOD_COVERAGE, 0.2),
             f"only {100 * fit.coverage:.0f} % of directions seen{hint}",
         ),
-        Finding(
+        QualityAspect(
             graded(fit.residual, 0.03, 0.2),
             f"the field still varies by {100 * fit.residual:.1f} %: go away from iron and cables",
         ),
-        Finding(
+        QualityAspect(
             graded(uncertain / strength, 0.02, 0.2),
             f"hard iron is uncertain by {uncertain:.1f} µT: turn it more",
         ),
-        Finding(
+        QualityAspect(
             graded(float(axes[0] / axes[-1]), 2.0, 4.0),
             f"axes differ by a factor {axes[0] / axes[-1]:.1f}: iron sits right beside the module",
         ),

@@ -16,9 +16,6 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
-import numpy as np
-
-from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from devices.cameras.pictures import CameraError, PictureInfo, PictureSource, open_pictures
 from devices.commands.device_errors import DeviceError
 from gateway.cameras.people_follower import FollowingCameras
@@ -27,8 +24,8 @@ from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video.networks.network import Picture
 from gateway.reconstruction.video.networks.person_detector import Person, PersonDetector
 from gateway.reconstruction.video.networks.weights import load_network
+from gateway.sources.heat_maps import encoded_maps
 
-_NOWHERE = np.zeros((2, 3))
 _PATIENCE_S = 120.0
 """For one picture: a heavy network on a busy machine takes seconds at the worst."""
 
@@ -185,24 +182,8 @@ def messages_of(
     too."""
     shown = list(people.items()) or [(0, None)]
     return b"".join(
-        _message(task, maps, sequence, time_ns, number, len(shown) - 1 - k)
+        encoded_maps(
+            task.name, task.network, sequence, time_ns, maps, person=number, following=len(shown) - 1 - k
+        )
         for k, (number, maps) in enumerate(shown)
     )
-
-
-def _message(
-    task: CameraTask,
-    maps: CameraHeatMaps | None,
-    sequence: int,
-    time_ns: int,
-    person: int = 0,
-    following: int = 0,
-) -> bytes:
-    return encode_heat_maps(
-        HeatMapMessage(
-            task.name, task.network, sequence, time_ns,
-            None if maps is None else quantised(maps.likelihood),
-            _NOWHERE if maps is None else maps.map_from_pixel,
-            person, following,
-        )
-    )  # fmt: skip

@@ -78,8 +78,10 @@ def _messages(recording: Recording) -> dict[tuple[str, int], HeatMapMessage]:
 def write_film(
     pictures: Iterable[Picture], target: Path, rate_hz: float, progress: Callable[[int], None]
 ) -> int:
-    """Into an .mp4, or numbered images in a folder; how many. Raises ``CameraError``, OSError as ``mkdir``
-    does."""
+    """Write pictures as an .mp4, or as numbered images into a folder; return how many there were.
+
+    Raises ``CameraError``, OSError as ``mkdir`` does.
+    """
     done = 0
     if target.suffix.lower() != FILM:
         target.mkdir(parents=True, exist_ok=True)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
 from gateway.body.skeleton import VideoSetUp
 from gateway.cameras.live_crowd import CrowdInstant
+from gateway.sources.heat_maps import encoded_maps
 
 Instants = list[list[bytes]]
 """Messages of one person: of every instant, one a camera."""
-_NOWHERE = np.zeros((2, 3))
 
 
 class FilmedPeople:
@@ -62,6 +59,6 @@ class FilmedPeople:
     def _nobody(self, index: int) -> list[bytes]:
         time_ns = self.time_ns(index)
         return [
-            encode_heat_maps(HeatMapMessage(camera.name, self.video.network, index, time_ns, None, _NOWHERE))
+            encoded_maps(camera.name, self.video.network, index, time_ns, None)
             for camera in self.video.cameras
         ]

@@ -14,7 +14,7 @@ from gateway.body.skeleton import VideoSetUp
 from gateway.cameras.camera_process import CameraTask, messages_of
 from gateway.cameras.filmed_people import FilmedPeople, Instants
 from gateway.cameras.live_crowd import AHEAD, CrowdInstant, LiveCrowd
-from gateway.cameras.people_follower import PeopleFollower
+from gateway.cameras.people_follower import follower_of
 from gateway.cameras.people_matching import person_in_common
 from gateway.cameras.rig_of_cameras import Follows
 from gateway.cameras.steering import Steering
@@ -160,7 +160,7 @@ def _followed(
     """Yield what every instant brings; each camera is led by the orders of ``AHEAD`` instants before."""
     video, begun = filmed.video, filmed.taken
     listed = ListedPeople(load_keypoint_set(video.network).names)
-    followers = [PeopleFollower(listed, listed, most) for _ in video.cameras]
+    followers = [follower_of(listed, listed, most) for _ in video.cameras]
     waiting = deque([first, *[b""] * (AHEAD - 1)])
     for index, shown in enumerate(zip(*seen, strict=True), start=begun):
         line, messages = waiting.popleft(), []

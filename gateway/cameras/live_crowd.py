@@ -14,12 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from devices.cameras.heat_map_messages import (
-    HeatMapMessage,
-    HeatMapReceiver,
-    encode_heat_maps,
-    quantised,
-)
+from devices.cameras.heat_map_messages import HeatMapReceiver
 from devices.link import Chunk
 from gateway.body.camera import Camera, project
 from gateway.body.skeleton import VideoSetUp, WornSuit
@@ -35,7 +30,7 @@ from gateway.reconstruction.video.networks.weights import keypoint_set_of
 from gateway.reconstruction.video.reconstructor import VideoReconstructor, worn_person
 from gateway.reconstruction.video.region import peaks
 from gateway.reconstruction.video.tracker import KeypointTracker
-from gateway.sources.heat_maps import Instant, Instants, KnownCameras, heat_maps_of
+from gateway.sources.heat_maps import CameraInstant, CameraInstants, KnownCameras, encoded_maps, heat_maps_of
 
 AHEAD = 2
 """Pictures from a pose to those that its orders are for: while the pose of one instant is found, the cameras
@@ -55,7 +50,6 @@ _WITHIN_M = 0.3
 """Median distance of keypoints under which somebody is led by another one's, and is not where they seem."""
 _NEAR = 0.5
 """Distance of hips, in sizes of a person, under which a camera shows somebody who is known already."""
-_NOWHERE = np.zeros((2, 3))
 
 
 @dataclass
@@ -83,21 +77,22 @@ class _Tracked:
     """When that was."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CrowdInstant:
     """What one instant brought."""
 
-    entered: Mapping[int, WornSuit]
-    """By number, with the lengths that were measured. A number that has left before: they are back."""
-    before: Mapping[int, Sequence[Sequence[bytes]]]
-    """Of those who entered, the messages of every instant from when they were found to this one."""
     messages: Mapping[int, Sequence[bytes]]
     """By number, a message a camera with the heat maps without the other people: as of a single person."""
-    absent: Mapping[int, int]
-    """By the numbers in ``messages``, instants since somebody was last there; they may be waited for."""
-    left: Sequence[int]
     orders: bytes
     """For the cameras."""
+    entered: Mapping[int, WornSuit] = field(default_factory=dict)
+    """By number, with the lengths that were measured. A number that has left before: they are back."""
+    before: Mapping[int, Sequence[Sequence[bytes]]] = field(default_factory=dict)
+    """Of those who entered, the messages of every instant from when they were found to this one."""
+    absent: Mapping[int, int] = field(default_factory=dict)
+    """By the numbers in ``messages``, instants since somebody was last there; they may be waited for."""
+    left: Sequence[int] = ()
+    """Numbers of those who are gone."""
 
 
 @dataclass
@@ -128,7 +123,7 @@ class LiveCrowd:
         self._leading = Leading(video.cameras, keypoints.names, video.pairs)
         self._tracked: list[_Tracked] = []  # in the order of the crowd's people
         self._receivers: dict[str, HeatMapReceiver] = {}
-        self._instants = Instants(len(video.cameras))
+        self._instants = CameraInstants(len(video.cameras))
         self._away = ReturningPeople()
         self._tracked_ever = 0
         self.counts = CrowdCounts()
@@ -162,7 +157,7 @@ class LiveCrowd:
         """Return what one instant of a film brings: of every camera all that it tells of one picture."""
         received = {row: HeatMapReceiver().receive(each) for row, each in enumerate(messages)}
         first = received[0][0]
-        return self._advanced(Instant(first.sequence, first.time_ns, received))
+        return self._advanced(CameraInstant(first.sequence, first.time_ns, received))
 
     def statistics(self) -> dict[str, object]:
         """Return counters for the health message."""
@@ -181,7 +176,7 @@ class LiveCrowd:
             "given_up": self.counts.given_up,
         }
 
-    def _advanced(self, instant: Instant) -> CrowdInstant:
+    def _advanced(self, instant: CameraInstant) -> CrowdInstant:
         expected = self._crowd.expected_after(1)
         masked = self._crowd.masked([self._frame_of(each, instant) for each in self._tracked])
         self._crowd.follow(masked)
@@ -202,10 +197,13 @@ class LiveCrowd:
             absent.pop(back, None)
         self._admit(instant)
         return CrowdInstant(
-            {number: worn_person(person, self._video) for number, (person, _) in entered.items()},
-            {number: seen for number, (_, seen) in entered.items()},
-            messages, absent, left, self._orders(instant.sequence),
-        )  # fmt: skip
+            messages=messages,
+            orders=self._orders(instant.sequence),
+            entered={number: worn_person(person, self._video) for number, (person, _) in entered.items()},
+            before={number: seen for number, (_, seen) in entered.items()},
+            absent=absent,
+            left=left,
+        )
 
     def _note(
         self, each: _Tracked, points: FloatArray | None, others: Sequence[FloatArray], frame: HeatMapFrame
@@ -227,7 +225,7 @@ class LiveCrowd:
                 seen += _likelihood_at(maps, project(camera, points)) >= _LEAST_SEEN
         return float((seen >= 2).mean()) >= _LEAST_SEEN
 
-    def _frame_of(self, tracked: _Tracked, instant: Instant) -> HeatMapFrame:
+    def _frame_of(self, tracked: _Tracked, instant: CameraInstant) -> HeatMapFrame:
         """Return the heat maps of every camera of a person, by the gateway's number, else by that under
         which it was found."""
         maps: list[CameraHeatMaps | None] = []
@@ -238,18 +236,13 @@ class LiveCrowd:
             )
         return HeatMapFrame(instant.sequence, instant.time_ns, tuple(maps))
 
-    def _encoded(self, frame: HeatMapFrame, instant: Instant) -> list[bytes]:
+    def _encoded(self, frame: HeatMapFrame, instant: CameraInstant) -> list[bytes]:
         """Return the messages of all cameras, those too that sent nothing, so that nobody waits for them."""
         time_ns = instant.messages[min(instant.messages)][0].time_ns
-        messages = (
-            HeatMapMessage(
-                camera.name, self._video.network, frame.sequence, time_ns,
-                None if maps is None else quantised(maps.likelihood),
-                _NOWHERE if maps is None else maps.map_from_pixel,
-            )
+        return [
+            encoded_maps(camera.name, self._video.network, frame.sequence, time_ns, maps)
             for camera, maps in zip(self._cameras, frame.cameras, strict=True)
-        )  # fmt: skip
-        return [encode_heat_maps(message) for message in messages]
+        ]
 
     def _parted(self) -> list[int]:
         """Forget whoever is gone, is somebody else, or was nobody; return the numbers of those who had
@@ -302,7 +295,7 @@ class LiveCrowd:
         self.counts.entered += 1
         return self.counts.entered, somebody.person
 
-    def _admit(self, instant: Instant) -> None:
+    def _admit(self, instant: CameraInstant) -> None:
         """Begin to track those whom several cameras have found, and nobody is known to be."""
         if len(self._tracked) >= self._most:
             return
@@ -322,8 +315,8 @@ class LiveCrowd:
             self._tracked.append(newcomer)
             self._crowd.enter()
 
-    def _found(self, row: int, instant: Instant) -> list[tuple[Person, int]]:
-        """Whom a camera has found by itself and nobody is known to be, with its number for them."""
+    def _found(self, row: int, instant: CameraInstant) -> list[tuple[Person, int]]:
+        """Return whom a camera has found by itself and nobody is known to be, with its number for them."""
         known = {each.found.get(row) for each in self._tracked}
         numbers = {each.ordered_number for each in self._tracked}
         found = []

@@ -3,7 +3,8 @@ where the poses of all cameras will have them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -55,40 +56,49 @@ class Detector(Protocol[Picture_contra]):
         of the picture."""
 
 
-class PeopleFollower(Generic[Picture_contra]):
+class Follower(ABC, Generic[Picture_contra]):
     """Keeps a region for each person from picture to picture."""
 
-    def __init__(
-        self, network: Network[Picture_contra], detector: Detector[Picture_contra], most: int
-    ) -> None:
-        """Follow nobody yet. most: people at once; one alone has the number 0, whoever tells."""
-        self._network, self._detector, self._most = network, detector, most
+    def __init__(self, network: Network[Picture_contra], detector: Detector[Picture_contra]) -> None:
+        """Follow nobody yet."""
+        self._network, self._detector = network, detector
         self._regions: dict[int, PersonRegion | None] = {}
         """By number; None: in no picture, until told otherwise."""
-        self._since: dict[int, int] = {}  # by number of our own, the picture in which the person was found
         self._joined: dict[int, Joined] = {}
         self._last: FloatArray | None = None
-        self._pictures = self._looks = self._found = self._ordered_at = 0
+        """(2,) pixels: where somebody was looked for last."""
+        self._pictures = self._ordered_at = 0
+
+    @abstractmethod
+    def _is_own(self, number: int) -> bool:
+        """Return whether somebody of that number is found and lost without the gateway's word."""
+
+    @abstractmethod
+    def _ordered(self, ordered: Mapping[int, PersonRegion | None]) -> dict[int, PersonRegion | None]:
+        """Return who is followed where, once the gateway has named people and their regions."""
+
+    @abstractmethod
+    def _find(self, picture: Picture_contra) -> None:
+        """Begin to follow whom the detector finds beside those who are followed."""
 
     def take(self, orders: CameraOrders) -> None:
         """Follow whom the gateway names where it says, and nobody else by a number of the gateway's."""
         self._ordered_at = self._pictures
         self._joined = dict(orders.joined)
-        ordered = {number: _region_of(square) for number, square in orders.squares.items()}
-        if self._most == 1:
-            ordered = {0: ordered.get(0, self._regions.get(0))}
-            self._regions = ordered if 0 in orders.squares or ordered[0] is not None else {}
-            return
-        kept: dict[int, PersonRegion | None] = {
-            number: region
-            for number, region in self._regions.items()
-            if number >= FOUND_BY_CAMERA and region is not None and not _is_among(region.centre, ordered)
-        }
-        self._regions = ordered | kept
+        self._regions = self._ordered(
+            {number: _region_of(square) for number, square in orders.squares.items()}
+        )
 
     def heat_maps(self, picture: Picture_contra) -> dict[int, CameraHeatMaps | None]:
         """Return the maps of everybody who is followed, by number; None of one who is not seen any more."""
-        self._look(picture)
+        if self._pictures - self._ordered_at > _SILENT:
+            self._joined = {}
+            self._regions = {
+                number: region
+                for number, region in self._regions.items()
+                if region is not None and self._is_own(number)
+            }
+        self._find(picture)
         self._pictures += 1
         seen: dict[int, CameraHeatMaps | None] = {}
         for number, region in list(self._regions.items()):
@@ -99,7 +109,7 @@ class PeopleFollower(Generic[Picture_contra]):
             seen[number] = None if after is None else maps
             self._last = region.centre
             self._regions[number] = after
-            if after is None and (number >= FOUND_BY_CAMERA or self._most == 1):
+            if after is None and self._is_own(number):
                 del self._regions[number]
         return seen
 
@@ -111,24 +121,60 @@ class PeopleFollower(Generic[Picture_contra]):
             if (region := self._regions.get(number)) is not None
         ]
 
-    def _look(self, picture: Picture_contra) -> None:
-        """Begin to follow whom the detector finds beside those who are followed."""
-        if self._pictures - self._ordered_at > _SILENT:
-            self._joined = {}
-            self._regions = {
-                number: region
-                for number, region in self._regions.items()
-                if region is not None and (number >= FOUND_BY_CAMERA or self._most == 1)
-            }
+
+class PersonFollower(Follower[Picture_contra]):
+    """Follows one person, who has the number 0, whoever tells."""
+
+    def _is_own(self, number: int) -> bool:
+        return True
+
+    def _ordered(self, ordered: Mapping[int, PersonRegion | None]) -> dict[int, PersonRegion | None]:
+        """Return the person where the gateway says; where it does not name them, where they were."""
+        region = ordered.get(0, self._regions.get(0))
+        return {0: region} if 0 in ordered or region is not None else {}
+
+    def _find(self, picture: Picture_contra) -> None:
+        """Begin to follow the one nearest to where the person was lost, else the likeliest."""
+        if self._regions:
+            return
+        people, last = self._detector.people(picture), self._last
+        if people and last is not None:
+            people = [min(people, key=lambda person: float(np.linalg.norm(person.hips - last)))]
+        if people:
+            self._regions = {0: people[0].region}
+
+
+class PeopleFollower(Follower[Picture_contra]):
+    """Follows several people: those whom the gateway names, and others by numbers of the camera's own."""
+
+    def __init__(
+        self, network: Network[Picture_contra], detector: Detector[Picture_contra], most: int
+    ) -> None:
+        """Follow nobody yet. most: people at once."""
+        super().__init__(network, detector)
+        self._most = most
+        self._since: dict[int, int] = {}  # by number of our own, the picture in which the person was found
+        self._looks = self._found = 0
+
+    def _is_own(self, number: int) -> bool:
+        return number >= FOUND_BY_CAMERA
+
+    def _ordered(self, ordered: Mapping[int, PersonRegion | None]) -> dict[int, PersonRegion | None]:
+        """Return those whom the gateway names, and of our own those who are none of them."""
+        kept: dict[int, PersonRegion | None] = {
+            number: region
+            for number, region in self._regions.items()
+            if self._is_own(number) and region is not None and not _is_among(region.centre, ordered)
+        }
+        return {**ordered, **kept}
+
+    def _find(self, picture: Picture_contra) -> None:
+        """Begin to follow newcomers, and leave whom no gateway took for a person."""
         for number, since in list(self._since.items()):
             if number not in self._regions or self._pictures - since > _UNTOLD:
                 self._regions.pop(number, None)
                 del self._since[number]
         if len(self._regions) >= self._most:
-            return
-        if self._most == 1:
-            for person in self._nearest(self._detector.people(picture)):
-                self._regions[0] = person.region
             return
         if any(self._regions.values()) and self._pictures % _LOOK_EVERY:
             return
@@ -147,12 +193,12 @@ class PeopleFollower(Generic[Picture_contra]):
         known = [region for region in self._regions.values() if region is not None]
         return self._detector.newcomers(picture, known, self._looks)
 
-    def _nearest(self, people: list[Person]) -> list[Person]:
-        """Return the one nearest to who was lost last, else the likeliest."""
-        last = self._last
-        if last is None:
-            return people[:1]
-        return sorted(people, key=lambda person: float(np.linalg.norm(person.hips - last)))[:1]
+
+def follower_of(
+    network: Network[Picture_contra], detector: Detector[Picture_contra], most: int
+) -> Follower[Picture_contra]:
+    """Return what follows so many people at the most."""
+    return PersonFollower(network, detector) if most == 1 else PeopleFollower(network, detector, most)
 
 
 class FollowingCameras:
@@ -162,9 +208,9 @@ class FollowingCameras:
     def __init__(
         self, names: Sequence[str], network: PoseNetwork, detector: Detector[Picture], most: int
     ) -> None:
-        """names: of the cameras, one or two. most: people at once."""
+        """Follow nobody yet. names: of the cameras, one or two. most: people at once."""
         self._network = network
-        self._followers = {name: PeopleFollower(network, detector, most) for name in names}
+        self._followers = {name: follower_of(network, detector, most) for name in names}
 
     def take(self, line: bytes) -> None:
         """Follow as a line of orders says; what is none changes nothing."""
@@ -197,7 +243,8 @@ def _region_of(square: Square | None) -> PersonRegion | None:
     return PersonRegion(np.array([x, y]), side, turn)
 
 
-def _is_among(hips: FloatArray, regions: dict[int, PersonRegion | None]) -> bool:
+def _is_among(hips: FloatArray, regions: Mapping[int, PersonRegion | None]) -> bool:
+    """Return whether somebody with these hips, (2,) pixels, is one of those in the regions."""
     return any(
         region is not None and float(np.linalg.norm(hips - region.centre)) < _NEAR * region.size
         for region in regions.values()

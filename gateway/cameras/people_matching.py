@@ -25,21 +25,17 @@ def person_in_common(
 ) -> list[PersonRegion | None]:
     """Return by camera the region of the one person whose hips and shoulders meet in the world and whom most
     cameras agree upon; None: the camera does not show them."""
-    chosen = next(matched_people(cameras, people, first_surely=False), (None,) * len(cameras))
+    chosen = _closest_person(cameras, people, must_agree=False) or (None,) * len(cameras)
     return [None if person is None else person.region for person in chosen]
 
 
 def matched_people(
-    cameras: Sequence[Camera], people: Sequence[Sequence[Person]], *, first_surely: bool = True
+    cameras: Sequence[Camera], people: Sequence[Sequence[Person]]
 ) -> Iterator[tuple[Person | None, ...]]:
-    """Yield who is one person in several cameras, by camera, those whom most of them agree upon first.
-
-    first_surely: whether rays that pass each other like those of two people leave nobody for the first, too.
-    """
-    left, surely = [list(each) for each in people], first_surely
-    while (chosen := _closest_person(cameras, left, surely=surely)) is not None:
+    """Yield who is one person in several cameras, by camera, those whom most of them agree upon first."""
+    left = [list(each) for each in people]
+    while (chosen := _closest_person(cameras, left, must_agree=True)) is not None:
         yield chosen
-        surely = True
         left = [
             [person for person in each if person is not taken]
             for each, taken in zip(left, chosen, strict=True)
@@ -47,11 +43,11 @@ def matched_people(
 
 
 def _closest_person(
-    cameras: Sequence[Camera], people: Sequence[Sequence[Person]], *, surely: bool
+    cameras: Sequence[Camera], people: Sequence[Sequence[Person]], *, must_agree: bool
 ) -> tuple[Person | None, ...] | None:
-    """Return those of each camera's people that are one person; None where two cameras agree upon nobody.
+    """Return those of each camera's people that are one person; None where two cameras show nobody.
 
-    surely: whether that the rays pass each other like those of two people leaves nobody, too.
+    must_agree: whether it is None, too, where the rays pass each other like those of two people.
     """
     options: list[list[Person | None]] = [[*each[:MOST_PEOPLE], None] for each in people]
     best: tuple[float, tuple[Person | None, ...]] | None = None
@@ -61,7 +57,7 @@ def _closest_person(
             continue
         cost = _disagreement(cameras, chosen)
         agreed = cost - _ABSENT_COST * (len(chosen) - n_seeing) < _ABSENT_COST * n_seeing
-        if surely and not (agreed and _is_of_one_size(cameras, chosen)):
+        if must_agree and not (agreed and _is_of_one_size(cameras, chosen)):
             continue
         if best is None or cost < best[0]:
             best = cost, chosen

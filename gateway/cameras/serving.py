@@ -45,7 +45,7 @@ class _Receiver:
     """The beginning of a line of orders."""
 
 
-class Sink(Protocol):
+class MessageSink(Protocol):
     """Where messages go."""
 
     served: Served
@@ -64,7 +64,11 @@ class Sink(Protocol):
 
 
 def serve(
-    tasks: Sequence[CameraTask], sink: Sink, speed: float, begin_s: float | None = None, people: int = 1
+    tasks: Sequence[CameraTask],
+    sink: MessageSink,
+    speed: float,
+    begin_s: float | None = None,
+    people: int = 1,
 ) -> None:
     """Serve a camera, or two side by side, until one ends, or Ctrl-C. Raises ``CameraError``.
 

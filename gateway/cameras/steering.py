@@ -38,7 +38,7 @@ class Steering:
         orders = self._leading.orders(self._taken + AHEAD, {} if points is None else {0: points})
         self._taken += 1
         put_right = [_encoded(*each) for each in zip(messages, frame.cameras, maps, strict=True)]
-        return CrowdInstant({}, {}, {1: put_right}, {}, [], orders)
+        return CrowdInstant(messages={1: put_right}, orders=orders)
 
 
 def _encoded(message: bytes, before: CameraHeatMaps | None, after: CameraHeatMaps | None) -> bytes:

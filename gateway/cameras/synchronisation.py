@@ -131,7 +131,7 @@ def _descended(unrest: Unrest, start: list[int]) -> list[int]:
 
 
 def _total(unrest: Unrest, offsets: Sequence[int]) -> float:
-    """Mean over all pairs at these offsets, m; infinite where one is out of reach or nothing is known."""
+    """Return the mean over all pairs at these offsets, m; infinite where one is out of reach."""
     values = [
         _at(curve, offsets[b] - offsets[a]) for (a, b), curve in unrest.items() if np.isfinite(curve).any()
     ]

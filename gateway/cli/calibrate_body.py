@@ -23,7 +23,7 @@ from devices.link import Link, gateway_time_ns
 from devices.links.reconnect import kept_open
 from devices.replay_link import contents_of
 from gateway.body.skeleton import WornSuit
-from gateway.calibration.procedure import Kind, Step
+from gateway.calibration.procedure import Step, StepKind
 from gateway.cli.options import link_of
 from gateway.cli.preparing import stand_in
 from gateway.errors import GatewayError
@@ -45,7 +45,7 @@ def live_table(session: BodySession, step: Step | None, live: Sequence[Livelines
     """Return a bar for every module: how fast it turns, and whether that is wanted now."""
     from gateway.calibration.control import STILL
 
-    wants_rest = step is None or step.kind is Kind.POSE
+    wants_rest = step is None or step.kind is StepKind.POSE
     table = Table("module", "segment", "turning", "")
     for (module, segment), one in zip(modules_of(session), live, strict=True):
         is_still = one.turning < STILL

@@ -6,7 +6,7 @@ import contextlib
 import json
 from dataclasses import replace
 from enum import StrEnum
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from gateway.batch.kinds import KINDS, REPORT
+from gateway.batch import KINDS, REPORT
 from gateway.cli.options import AsJson, refuse_existing
 from gateway.cli.solving_options import SolvedOtherwise, with_solving
 from gateway.cli.terminal import progress_bar
@@ -25,7 +25,7 @@ from gateway.settings import check_method
 from gateway.support.extras import require_package
 
 if TYPE_CHECKING:
-    from gateway.batch.job import Job, Outcome
+    from gateway.batch.job import Job, JobResult
     from gateway.batch.manifest import Manifest
     from gateway.recording.exporters.take import Take
 
@@ -88,18 +88,17 @@ def export(
         recording = open_recording(file)
         arrays = smoothed_arrays(recording, progress) if smooth else recording.skeleton_arrays(progress)
 
-    takes: dict[tuple[Axes, bool], Take] = {}
+    @cache  # resampling takes longer than writing: formats with the same axes share one take
+    def taken(wanted: Axes, as_recorded: bool) -> Take:
+        take = take_of(arrays, file.stem, wanted, recording, as_recorded=as_recorded)
+        return replace(take, mass_kg=mass)
+
     written, notes = [], []
     with progress_bar("writing", is_shown=not as_json) as progress:
         for done, (name, path) in enumerate(files.items()):
             progress(done, len(files))
             wanted, per_m = _form(name, axes, unit)
-            as_recorded = FORMATS[name].as_recorded
-            if (wanted, as_recorded) not in takes:
-                # Resampling takes longer than writing: formats with the same axes share one take.
-                take = take_of(arrays, file.stem, wanted, recording, as_recorded=as_recorded)
-                takes[wanted, as_recorded] = replace(take, mass_kg=mass)
-            take = takes[wanted, as_recorded]
+            take = taken(wanted, FORMATS[name].as_recorded)
             notes.append(FORMATS[name].write(take, path, per_m))
             written.append(_summary_of(name, path, take, per_m))
 
@@ -284,16 +283,16 @@ def batch(
 
 def _run_due(
     due: list[Job], manifest: Manifest, workers: int | None, dask: str | None, *, is_shown: bool
-) -> list[Outcome]:
+) -> list[JobResult]:
     """Run jobs with a progress bar, and close the manifest; return the outcomes, fewer after Ctrl-C."""
     from gateway.batch.running import run_jobs
 
-    outcomes: list[Outcome] = []
+    outcomes: list[JobResult] = []
     bar = progress_bar(f"{len(due)} recordings", is_shown=is_shown)
     with contextlib.suppress(KeyboardInterrupt), bar as progress:
         progress(0, len(due))
 
-        def done(job: Job, outcome: Outcome) -> None:
+        def done(job: Job, outcome: JobResult) -> None:
             # Into the manifest at once: what is finished stays finished, however the batch ends.
             manifest.add(job, outcome)
             outcomes.append(outcome)
@@ -304,7 +303,7 @@ def _run_due(
     return outcomes
 
 
-def _print_outcomes(outcomes: list[Outcome], skipped: int, results: Path, as_json: bool) -> None:
+def _print_outcomes(outcomes: list[JobResult], skipped: int, results: Path, as_json: bool) -> None:
     outcomes.sort(key=lambda outcome: outcome.name)
     failed = {outcome.name: outcome.error for outcome in outcomes if outcome.error}
     notes = {outcome.name: outcome.note for outcome in outcomes if outcome.note}

@@ -30,7 +30,7 @@ from gateway.support.names import printable
 if TYPE_CHECKING:
     from gateway.fleet.collecting import Collector
     from gateway.fleet.demonstration import DemoFleet
-    from gateway.fleet.overview import Fleet, Row
+    from gateway.fleet.overview import Fleet, OverviewRow
 
 fleet_app = typer.Typer(
     help="Many gateways: brokers to try, an overview of all, an archive of what they sent.",
@@ -185,12 +185,12 @@ def _end_on_sigterm() -> None:
 def _demonstrate(
     gateways: int, rate: float, recording: Path | None, page_port: int, seconds: float | None
 ) -> None:
-    from gateway.fleet.demonstration import DemoFleet, Wanted
+    from gateway.fleet.demonstration import DemoFleet, DemonstrationPlan
 
     recording = None if recording is None else recording.resolve(strict=True)
     with (
         tempfile.TemporaryDirectory(prefix="mocap_fleet_") as folder,
-        DemoFleet(Path(folder), Wanted(gateways, rate, recording)) as fleet,
+        DemoFleet(Path(folder), DemonstrationPlan(gateways, rate, recording)) as fleet,
     ):
         typer.echo(f"three brokers at {', '.join(fleet.cluster.addresses())}; {gateways} light gateways")
         wearers = {name: f"wearer {number}" for number, name in enumerate(fleet.names, 1)}
@@ -256,7 +256,7 @@ async def _listening(settings: MqttSettings, wearers: dict[str, str]) -> AsyncIt
         await end_tasks(listening)
 
 
-async def _measured(settings: MqttSettings, wearers: dict[str, str], seconds: float) -> list[Row]:
+async def _measured(settings: MqttSettings, wearers: dict[str, str], seconds: float) -> list[OverviewRow]:
     async with _listening(settings, wearers) as fleet:
         await asyncio.sleep(seconds)
         return fleet.rows(time.monotonic())
@@ -314,7 +314,7 @@ async def _page(
         yield
 
 
-def table_of(rows: list[Row]) -> Table:
+def table_of(rows: list[OverviewRow]) -> Table:
     """Return the overview for the terminal."""
     bad = sum(bool(row.alerts) for row in rows)
     online = sum(row.state == "online" for row in rows)
@@ -499,16 +499,16 @@ def solve(
     """Solve all recordings again with another method, beside what is there. Begun anew, it goes on."""
     from gateway.cli.terminal import progress_bar
     from gateway.fleet.archive import Archive
-    from gateway.fleet.solving import Solved, jobs_of, run
+    from gateway.fleet.solving import SolvedRecording, jobs_of, run
     from gateway.settings import check_method
 
     check_method(method, "--method")
     kept = Archive(archive)
-    jobs, outcomes = jobs_of(kept, method), list[Solved]()
+    jobs, outcomes = jobs_of(kept, method), list[SolvedRecording]()
     with kept.locked("solve"):
         with progress_bar("solving") as progress:
 
-            def done(outcome: Solved) -> None:
+            def done(outcome: SolvedRecording) -> None:
                 outcomes.append(outcome)
                 progress(len(outcomes), len(jobs))
 

@@ -165,9 +165,10 @@ def _write_fit(found: Fit, outcome: dict[str, object], target: Path) -> None:
     from gateway.body.subject_file import subject_content, write_subject
     from gateway.recording.snapshot import body_of
 
+    measured = found.measured
     content = subject_content(
         target.stem, found.marker_set, body_of(found.skeleton), found.skeleton, found.markers,
-        {key: outcome[key] for key in ("trials", "frames", "rmse_mm")}, found.lengths, found.angles,
+        {key: outcome[key] for key in ("trials", "frames", "rmse_mm")}, measured.lengths, measured.angles,
     )  # fmt: skip
     with writing(target):
         write_subject(target, content)
@@ -217,7 +218,7 @@ def _print_fit(found: Fit, target: Path, *, functional: bool) -> None:
         f"{target}: {len(found.markers.labels)} markers of {found.marker_set}, {found.frames} frames, "
         f"rest {round(1e3 * found.rmse, 2)} mm RMS, {found.markers.vertical} up"
     )
-    for name, angle in found.angles.items():
+    for name, angle in found.measured.angles.items():
         if angle:
             typer.echo(f"{name}: {math.degrees(angle):.1f}° (--angle {name}=0 takes the wand as it stands)")
     for note in fit_notes(found, functional=functional):

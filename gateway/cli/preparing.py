@@ -16,7 +16,7 @@ import typer
 
 from gateway.cli.terminal import progress_bar
 from gateway.reconstruction import OPTICAL, RootMode
-from gateway.reconstruction.optical.warm_up import warm_up
+from gateway.reconstruction.optical.reconstructor import warm_up
 from gateway.settings import GatewaySettings, RootMotionSettings
 
 _USUAL = "compiling the reconstruction once; later starts find it made"

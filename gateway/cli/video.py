@@ -38,7 +38,7 @@ from gateway.support.extras import require_video_extra
 
 if TYPE_CHECKING:
     from gateway.cameras.broker_outlet import BrokerOutlet
-    from gateway.cameras.serving import Sink
+    from gateway.cameras.serving import MessageSink
 
 
 Places = Annotated[
@@ -338,7 +338,9 @@ def _beside(name: str, place: str, neighbour: str | None) -> list[tuple[str, str
     return [(name, place), (other, there)]
 
 
-def _serve(tasks: Sequence[CameraTask], sink: Sink, speed: float, begin_s: float | None, people: int) -> None:
+def _serve(
+    tasks: Sequence[CameraTask], sink: MessageSink, speed: float, begin_s: float | None, people: int
+) -> None:
     from gateway.cameras.serving import serve
 
     serve(tasks, sink, speed, begin_s, people)

@@ -36,13 +36,12 @@ from gateway.clocks.table import (
     load_clock_table,
     save_clock_table,
 )
-from gateway.clocks.trigger import Answer, Trigger, TriggerAnswers, TriggerTimer
+from gateway.clocks.trigger import Trigger, TriggerAnswer, TriggerAnswers, TriggerTimer
 from gateway.clocks.utc_anchor import AnchorReading, AnchorWatch
 
 __all__ = [
     "AnchorReading",
     "AnchorWatch",
-    "Answer",
     "ArrivalClock",
     "ArrivalLine",
     "ClockCalibration",
@@ -61,6 +60,7 @@ __all__ = [
     "TableClock",
     "TableClocks",
     "Trigger",
+    "TriggerAnswer",
     "TriggerAnswers",
     "TriggerTimer",
     "clock_table",

@@ -124,7 +124,7 @@ class ArrivalClock:
         self._shortest_ns: int | None = None
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
-        """Gateway time in ns of a 32-bit stamp that arrived at ``arrived_ns``, and is not after it."""
+        """Return the gateway time, ns, of a 32-bit stamp that arrived at ``arrived_ns``: not after it."""
         arrived_us = arrived_ns // 1000
         full_us = arrived_us - (arrived_us - module_time_us) % 2**32
         return full_us * 1000 - (self._shortest_ns or 0) // 2

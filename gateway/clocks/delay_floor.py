@@ -21,7 +21,7 @@ _CONFLICT = 5.0
 """Standard deviations that packets can move a state by; by more, it was surer than it had reason to be."""
 
 
-class Walk(NamedTuple):
+class FloorWalk(NamedTuple):
     """How a floor changes by itself."""
 
     rate_sigma_ppm: float
@@ -30,17 +30,17 @@ class Walk(NamedTuple):
     offset_us2_per_s: float
 
 
-CRYSTAL = Walk(rate_sigma_ppm=3_000.0, rate_ppm2_per_s=1.0 / 60.0, offset_us2_per_s=4.0)
+CRYSTAL = FloorWalk(rate_sigma_ppm=3_000.0, rate_ppm2_per_s=1.0 / 60.0, offset_us2_per_s=4.0)
 """Real modules have been seen 0.3 % off; temperature moves a rate by 1 ppm in a minute; sampling timers
 are not perfect."""
-TRANSPORT = Walk(rate_sigma_ppm=1e-3, rate_ppm2_per_s=0.0, offset_us2_per_s=1.0)
+TRANSPORT = FloorWalk(rate_sigma_ppm=1e-3, rate_ppm2_per_s=0.0, offset_us2_per_s=1.0)
 """The shortest round trip of a link stays what it is."""
 
 
 class DelayFloor:
     """Offset and rate of the floor of delays, with their covariance."""
 
-    def __init__(self, walk: Walk = CRYSTAL) -> None:
+    def __init__(self, walk: FloorWalk = CRYSTAL) -> None:
         self._walk = walk
         self.packets = 0
         """Taken in so far; counted up to ``REMEMBERED``."""
@@ -70,7 +70,7 @@ class DelayFloor:
             self._mean_delay_us = _MEAN_DELAY_US
 
     def rebase(self) -> None:
-        """Module time is counted from anew, and the floor is what it was."""
+        """Count module time anew from here; the floor stays what it was."""
         if self._time_us is not None:
             self._time_us = 0
             self._remember()

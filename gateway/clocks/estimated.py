@@ -110,7 +110,7 @@ class EstimatedClock(Row):
         return self._counter.restarts
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
-        """Gateway time in ns of a 32-bit stamp that arrived at ``arrived_ns``."""
+        """Return the gateway time, ns, of a 32-bit stamp that arrived at ``arrived_ns``."""
         if self._is_compiled:
             time_ns = follow_usual(self._rows, module_time_us, arrived_ns)
             if time_ns != UNUSUAL:
@@ -154,7 +154,7 @@ class EstimatedClock(Row):
             self._exchanges.append((elapsed_us, elapsed_us - (sent_ns - self._start_ns) * 1e-3))
 
     def instant_ns(self, full_us: int) -> int:
-        """Gateway time of a full count, by what is known now."""
+        """Return the gateway time, ns, of a full count, by what is known now."""
         elapsed_us = full_us - self._start_us
         return self._start_ns + elapsed_us * 1000 + int(_published_us(self._line, elapsed_us) * 1000.0)
 

@@ -88,7 +88,7 @@ class ModuleClock(Protocol):
         ...
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
-        """Gateway time in ns of a 32-bit stamp that arrived at ``arrived_ns``."""
+        """Return the gateway time, ns, of a 32-bit stamp that arrived at ``arrived_ns``."""
         ...
 
     def figures(self) -> ClockFigures:

@@ -30,7 +30,7 @@ class _Group:
         return -_EARLY_NS <= arrived_ns - self.instant_ns(stamp_us) <= _LATE_NS
 
     def instant_ns(self, stamp_us: int) -> int:
-        """Gateway time of a stamp, by what is known now."""
+        """Return the gateway time, ns, of a stamp, by what is known now."""
         return self.clock.instant_ns(unwrap(stamp_us, COUNTER_BITS, self.clock.newest_us))
 
 
@@ -74,7 +74,7 @@ class SynchronisedClock:
         self._looked_ns = 0
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
-        """Gateway time in ns of a 32-bit stamp that arrived at ``arrived_ns``."""
+        """Return the gateway time, ns, of a 32-bit stamp that arrived at ``arrived_ns``."""
         group = self._group
         if group is None:
             group = self._joined(module_time_us, arrived_ns)

@@ -107,7 +107,7 @@ _SLOW_LINK = 1024
 """So many triggers may a link lag behind another one."""
 
 
-class Answer(NamedTuple):
+class TriggerAnswer(NamedTuple):
     """What a triggered sample belongs to."""
 
     full: int
@@ -186,7 +186,7 @@ class TriggerAnswers:
         )
         self._outstanding.setdefault(link, {})[number] = _Outstanding(full, sent_ns, awaited)
 
-    def answered(self, module: int, number: int, link: str, arrived_ns: int) -> Answer | None:
+    def answered(self, module: int, number: int, link: str, arrived_ns: int) -> TriggerAnswer | None:
         """Return the trigger that a sample answers; None if nothing asked for it.
 
         One that came before belongs to the same trigger as then.
@@ -203,7 +203,7 @@ class TriggerAnswers:
         else:
             trigger.answered.add(module)
             self.figures.answered[module] += 1
-        return Answer(trigger.full, trigger.sent_ns)
+        return TriggerAnswer(trigger.full, trigger.sent_ns)
 
     def sampled_alone(self, module: int) -> None:
         """Note a sample that a module took on its own timer: no answer is awaited until one comes."""

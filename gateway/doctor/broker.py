@@ -69,7 +69,9 @@ def _judge(settings: MqttSettings, delays_ms: list[float]) -> Iterator[Finding]:
 
 
 async def _travel_times_ms(settings: MqttSettings, topics: Topics) -> list[float]:
-    """Publishing to receiving, by a connection each, so that nothing carries acknowledgements along.
+    """Return times from publishing to receiving, ms.
+
+    Each end has a connection of its own, so that nothing carries acknowledgements along.
 
     Each round begins with something that the reader sends: then its system puts acknowledgements off, and a
     broker that waits for them (Nagle's algorithm) shows.

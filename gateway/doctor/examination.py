@@ -10,7 +10,7 @@ from pathlib import Path
 
 from devices.endpoints import link_from_url
 from devices.link import SUIT
-from devices.replay_link import ReplayLink
+from devices.replay_link import is_recording
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.doctor import running
@@ -167,4 +167,4 @@ def _listen(
 def _has_modules(link: LinkSettings) -> bool:
     """Return whether modules are at the other end: no receiver, no cameras, no file."""
     has_modules = source_kind(link.carries).has_modules
-    return has_modules and not isinstance(link_from_url(link.url), ReplayLink)
+    return has_modules and not is_recording(link_from_url(link.url))

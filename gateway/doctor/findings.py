@@ -10,6 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from devices.links.serial_ports import BY_ID
+from gateway.support.whole_files import free_bytes
 
 
 class Verdict(StrEnum):
@@ -41,7 +42,7 @@ def warning(subject: str, found: str, remedy: str) -> Finding:
 
 
 def bad(subject: str, found: str, remedy: str) -> Finding:
-    """Will not work."""
+    """Return a finding of something that will not work."""
     return Finding(subject, Verdict.BAD, found, remedy)
 
 
@@ -54,11 +55,6 @@ def describe_interface(interface: str) -> str | None:
     command = [program, "-details", "-statistics", "-json", "link", "show", "dev", interface]
     done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
     return done.stdout if done.returncode == 0 else None
-
-
-def free_bytes(folder: Path) -> int:
-    """Return the room on the disk that a folder is on. Raises ``OSError``."""
-    return shutil.disk_usage(folder).free
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from urllib.parse import parse_qsl, urlsplit
 from devices.commands.device_errors import DeviceError
 from devices.endpoints import DEFAULT_BITRATE, CanRate, UartRate, line_rate, link_from_url
 from devices.link import SUIT, LinkBusyError, LinkError
-from devices.replay_link import ReplayLink
+from devices.replay_link import is_recording
 from firmware_protocol import Defect, InertialSample
 from firmware_protocol.capacity import Traffic, can_load, uart_load
 from gateway.body.skeleton import WornSuit
@@ -26,7 +26,7 @@ from gateway.modules.session import suit_session
 from gateway.modules.summary import ModuleList, ModuleSummary
 from gateway.reconstruction import FUSED
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.makers import ANOTHER_SENDER, Advice, OthersLinkSettings
+from gateway.sources.makers import ANOTHER_SENDER, OthersLinkSettings, SettingAdvice
 
 LONGEST_LATENCY_MS = 2
 _UDEV_RULE = "docker/udev/60-mocap-gateway.rules"
@@ -46,7 +46,7 @@ async def opening(link: LinkSettings, *, gateway_runs: bool) -> Finding:
             return good(subject, f"{link.url} is open in the running gateway")
         return bad(subject, found, remedy or "correct its url in the configuration, or plug it in")
     await opened.close()
-    what = "recording can be read" if isinstance(opened, ReplayLink) else "can be opened"
+    what = "recording can be read" if is_recording(opened) else "can be opened"
     return good(subject, f"{link.url} {what}")
 
 
@@ -307,7 +307,7 @@ def _usable(links: Sequence[LinkSettings], makers: MakersModules, method: str) -
             yield good(subject, f"'{method}' takes what it sends")
 
 
-def _others_settings(advice: Sequence[tuple[str, Advice]]) -> Iterator[Finding]:
+def _others_settings(advice: Sequence[tuple[str, SettingAdvice]]) -> Iterator[Finding]:
     for link, each in advice:
         yield warning(f"{link}: settings", each.found, each.remedy)
 

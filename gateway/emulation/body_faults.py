@@ -144,17 +144,17 @@ def emulated(suit: WornSuit, case: Case, method: str = "joint", seed: int = 1) -
     error = orientation_error(q_wb, state.q_wb)
     statistics: Any = pipeline.statistics()
     return Run(
-        case,
-        times_s,
-        np.degrees(error.total),
-        np.degrees(error.inclination),
-        q_wb,
-        np.stack([frame.p_w for frame in frames]),
-        state.joint_position,
-        np.degrees(np.stack([frame.sigma for frame in frames])),
-        np.stack([frame.status for frame in frames]),
-        statistics["joint_agreement"],
-        {int(module): why for module, why in statistics["doubts"].items()},
+        case=case,
+        times_s=times_s,
+        error_deg=np.degrees(error.total),
+        tilt_deg=np.degrees(error.inclination),
+        q_wb=q_wb,
+        p_w=np.stack([frame.p_w for frame in frames]),
+        true_p_w=state.joint_position,
+        sigma_deg=np.degrees(np.stack([frame.sigma for frame in frames])),
+        status=np.stack([frame.status for frame in frames]),
+        agreement=statistics["joint_agreement"],
+        doubts={int(module): why for module, why in statistics["doubts"].items()},
     )
 
 
@@ -176,7 +176,7 @@ def _worn(body: EmulatedBody, how: str) -> EmulatedBody:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FaultEffect:
     """What a case did to some segments."""
 
     worst_deg: float
@@ -185,7 +185,7 @@ class Outcome:
     """From its end until the excess stays below a degree; NaN: it lasted to the end, or never did."""
 
 
-def outcome(run: Run, calm: Run, segments: list[int]) -> Outcome:
+def fault_effect(run: Run, calm: Run, segments: list[int]) -> FaultEffect:
     """Return the outcome over the segments; an undefined segment counts as no error, its status says so."""
     n = min(len(run.times_s), len(calm.times_s))
     at_calm = np.searchsorted(calm.times_s, run.times_s[:n] - 0.005).clip(0, len(calm.times_s) - 1)
@@ -194,11 +194,11 @@ def outcome(run: Run, calm: Run, segments: list[int]) -> Outcome:
     times, end_s = run.times_s[:n], run.case.ends_s
     after, worst = times >= end_s, float(excess[times >= run.case.begins_s].max())
     if not after.any():
-        return Outcome(worst, np.nan)
+        return FaultEffect(worst, np.nan)
     bad = times[after & (excess > RECOVERED_DEG)]
     is_over = not len(bad) or bad[-1] < times[-1] - 1.0
     recovery_s = (float(bad[-1] - end_s) if len(bad) else 0.0) if is_over else np.nan
-    return Outcome(worst, recovery_s)
+    return FaultEffect(worst, recovery_s)
 
 
 def reported_after_s(run: Run, segments: list[int]) -> float:

@@ -14,12 +14,12 @@ from gateway.frames import InertialBatch, Reading
 from gateway.sources.suit import Listener, SuitSource
 
 
-class Difference(AssertionError):
+class BothWaysDiffer(AssertionError):
     """The two ways do not give the same."""
 
 
 class BothWays:
-    """Takes what a stream takes, and raises ``Difference`` where kernels give another result, bit for bit."""
+    """Takes what a stream takes. Raises ``BothWaysDiffer`` where kernels give another result, to the bit."""
 
     def __init__(self, make: Callable[[bool], SuitSource]) -> None:
         """Make two streams; ``make`` returns one with kernels for True, without for False."""
@@ -46,9 +46,9 @@ class BothWays:
         """Return the readings that a chunk completes, and compare them."""
         found, expected = (stream.receive(chunk) for stream in self._streams)
         if _plain(found) != _plain(expected):
-            raise Difference(f"readings of {chunk}: {found}, the readable way {expected}")
+            raise BothWaysDiffer(f"readings of {chunk}: {found}, the readable way {expected}")
         if self._packets[0] != self._packets[1]:
-            raise Difference(f"listeners at {chunk}: {self._packets}")
+            raise BothWaysDiffer(f"listeners at {chunk}: {self._packets}")
         for packets in self._packets:
             packets.clear()
         return found
@@ -58,7 +58,7 @@ class BothWays:
         found, expected = (accounts(stream) for stream in self._streams)
         for name, account in expected.items():
             if found[name] != account:
-                raise Difference(f"{name}: {found[name]}, the readable way {account}")
+                raise BothWaysDiffer(f"{name}: {found[name]}, the readable way {account}")
 
 
 def _noting(packets: list[tuple[ReceivedPacket, int]]) -> Listener:

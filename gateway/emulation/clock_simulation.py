@@ -53,7 +53,7 @@ class Crystal:
         self.phase_us = rng.uniform(0, 10_000)
 
     def true_us(self, elapsed_us: FloatArray) -> FloatArray:
-        """Gateway time at which the module has counted so much, from its start."""
+        """Return the gateway time, µs, at which the module has counted so much since its start."""
         slower_us = np.interp(elapsed_us * 1e-6, self._knots_s, self._slower_us)
         return np.asarray(elapsed_us + self.phase_us + slower_us, dtype=np.float64)
 
@@ -111,7 +111,7 @@ class _Sent(NamedTuple):
 def relay_errors(
     rng: np.random.Generator, crystal: Crystal, seconds: FloatArray, rate_hz: float
 ) -> FloatArray:
-    """Published minus true instants of samples at some times, µs; both (m,). seconds: rising, s."""
+    """Return published minus true instants (m,) of samples, µs. seconds: (m,) when they are, s, rising."""
     sent = _sent(rng, crystal, float(seconds[-1]) + 2.0, rate_hz)
     ticks = np.ceil(sent.ready_us / TICK_US).astype(np.int64)
     cable_us = LATENCY_US + rng.exponential(CABLE_US, ticks.max() + 1)

@@ -155,7 +155,7 @@ def align(q: FloatArray, q_ref: FloatArray) -> FloatArray:
     return aligned(q[:, None], found)[:, 0]
 
 
-class Part(NamedTuple):
+class Excerpt(NamedTuple):
     """What is cut from a recording."""
 
     kind: str
@@ -164,7 +164,7 @@ class Part(NamedTuple):
     shakes: float = 0.0  # m/s²
 
 
-def totals(recording: RecordedTracks, frames: list[ImuFrame], part: Part) -> tuple[float, float]:
+def totals(recording: RecordedTracks, frames: list[ImuFrame], part: Excerpt) -> tuple[float, float]:
     """Return the mean error of the segments, °: VQF's and ours; ``frames`` are of the whole recording."""
     begun_s = max(float(track.times[0]) for track in recording.modules)
     taken = _cut(frames, part)
@@ -174,7 +174,7 @@ def totals(recording: RecordedTracks, frames: list[ImuFrame], part: Part) -> tup
     return peer, ours
 
 
-def _cut(frames: list[ImuFrame], part: Part) -> list[ImuFrame]:
+def _cut(frames: list[ImuFrame], part: Excerpt) -> list[ImuFrame]:
     rng = np.random.default_rng(1)
     taken = frames[int(part.begins * len(frames)) :: part.every]
     return [

@@ -8,17 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from gateway.body.camera import Camera, project
 from gateway.body.joint_angles import posture
 from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import CameraHeatMaps, FloatArray, HeatMapFrame
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.video.inverse_kinematics import keypoint_places, video_body
+from gateway.reconstruction.video.inverse_kinematics import video_body
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.proportions import PARTS, sized, standard_lengths
 from gateway.reconstruction.video.region import PersonRegion, person_region
+from gateway.sources.heat_maps import encoded_maps
 
 RATE_HZ = 60.0
 CELLS = 64
@@ -55,10 +54,8 @@ def walking(
     R = np.stack([_posture(skeleton, 2 * np.pi * _STEP_HZ * t + phase, heading, upside_down) for t in times])
     height = 1.1 if upside_down else 0.92
     roots = np.array([[*(np.array(start) + np.array(velocity) * t), height] for t in times])
-    joints = [
-        kernels.places(body.model.parents, body.model.offsets, *pose) for pose in zip(R, roots, strict=True)
-    ]
-    points = [keypoint_places(body.model, *pose) for pose in zip(R, roots, strict=True)]
+    joints = [body.model.joints_at(*pose) for pose in zip(R, roots, strict=True)]
+    points = [body.model.markers_at(*pose) for pose in zip(R, roots, strict=True)]
     return KnownPerson(skeleton, markers, R, np.stack(joints), np.stack(points))
 
 
@@ -144,11 +141,7 @@ def messages_of(cameras: Sequence[Camera], keypoints: KeypointSet, person: Known
         frame = rendered(cameras, true_regions(cameras, keypoints, places), places[None], t)
         instants.append(
             [
-                encode_heat_maps(
-                    HeatMapMessage(
-                        camera.name, "full", t, frame.time_ns, quantised(maps.likelihood), maps.map_from_pixel
-                    )
-                )
+                encoded_maps(camera.name, "full", t, frame.time_ns, maps)
                 for camera, maps in zip(cameras, frame.cameras, strict=True)
                 if maps is not None
             ]

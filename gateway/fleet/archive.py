@@ -127,7 +127,7 @@ class Archive:
     """An archive in a folder."""
 
     def __init__(self, folder: Path, *, is_new: bool = False) -> None:
-        """is_new: make it where there is none. Raises ``ArchiveError``."""
+        """Open the archive in a folder. is_new: make it where there is none. Raises ``ArchiveError``."""
         parquet()
         self.folder = folder
         self.poses = folder / "poses"

@@ -163,7 +163,10 @@ class Node:
     def __init__(
         self, index: int, folder: Path, ports: Sequence[int], routes: Sequence[int], users: str
     ) -> None:
-        """ports: of MQTT, cluster, NATS' own clients, monitoring. routes: to the other nodes' clusters."""
+        """Describe a node, not started.
+
+        ports: of MQTT, cluster, NATS' own clients, monitoring. routes: to the other nodes' clusters.
+        """
         self.name = f"node{index + 1}"
         self.mqtt_port, self._cluster_port, self._client_port, self.monitor_port = ports
         self._folder = folder / self.name
@@ -235,8 +238,11 @@ class Cluster:
     def __init__(
         self, folder: Path, passwords: Mapping[str, str] | None = None, *, is_cuttable: bool = False
     ) -> None:
-        """folder: for what the servers keep. passwords: none: everybody may do everything. is_cuttable: the
-        network between the nodes can be cut, by ``routes``."""
+        """Describe a cluster, not started.
+
+        folder: for what the servers keep. passwords: by user; None: everybody may do everything.
+        is_cuttable: whether the network between the nodes can be cut, by ``routes``.
+        """
         self.routes: CuttableRoutes | None = None
         # asked for together: ports that are given back may be given again
         free = free_ports(4 * NODES)
@@ -253,7 +259,7 @@ class Cluster:
         ]
 
     def addresses(self, first: int = 0) -> list[str]:
-        """HOST:PORT of MQTT of all nodes, beginning with one."""
+        """Return HOST:PORT of MQTT of all nodes, beginning with node ``first``."""
         nodes = [self.nodes[(first + index) % NODES] for index in range(NODES)]
         return [f"127.0.0.1:{node.mqtt_port}" for node in nodes]
 

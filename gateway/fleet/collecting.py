@@ -53,7 +53,10 @@ class Collector:
     """
 
     def __init__(self, archive: Archive, site: str, base_topic: str, wearers: Mapping[str, str]) -> None:
-        """Raises ``ArchiveError`` for a site that cannot stand in a path."""
+        """Collect for a site. wearers: who wears the suit of a gateway, by its name.
+
+        Raises ``ArchiveError`` for a site that cannot stand in a path.
+        """
         self.rows = 0
         """Taken so far."""
         self.repeated = 0

@@ -21,7 +21,7 @@ _STOP_S = 5.0
 
 
 @dataclass(frozen=True)
-class Wanted:
+class DemonstrationPlan:
     """What a demonstration is to have."""
 
     gateways: int
@@ -35,8 +35,8 @@ class Wanted:
 class DemoFleet:
     """Brokers and gateways, ended on leaving. Everything lies in one folder, which the caller removes."""
 
-    def __init__(self, folder: Path, wanted: Wanted) -> None:
-        """Raises ``GatewayError`` without the extra."""
+    def __init__(self, folder: Path, wanted: DemonstrationPlan) -> None:
+        """Prepare a demonstration, not started. Raises ``GatewayError`` without the extra."""
         self.names = [f"gw{number:03d}" for number in range(1, wanted.gateways + 1)]
         self._folder = folder
         self._wanted = wanted

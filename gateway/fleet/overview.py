@@ -10,7 +10,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import aiomqtt
@@ -31,6 +31,8 @@ SILENT_S = 3.0
 MOST_LOSS = 0.01
 MOST_DELAY_S = 0.25
 MOST_GATEWAYS = 10_000
+MOST_MISSING = 20_000
+"""Numbers of poses that did not come, remembered of one gateway."""
 _HEAD = re.compile(rb'\{"t_ns":(-?\d{1,19}),"seq":(-?\d{1,19})[,}]')
 _MODULE = re.compile(r"module/(\d{1,3})/state")
 _ANNOUNCED = (topics.BRIDGE_INFO, topics.BODY, topics.BRIDGE_STATE)
@@ -38,7 +40,7 @@ _ANNOUNCED = (topics.BRIDGE_INFO, topics.BODY, topics.BRIDGE_STATE)
 
 
 @dataclass(frozen=True)
-class Row:
+class OverviewRow:
     """One gateway as the overview shows it. None: not known."""
 
     gateway: str
@@ -71,7 +73,7 @@ class Second:
 
 
 @dataclass
-class Seen:
+class SeenGateway:
     """What was heard of one gateway."""
 
     has_left: bool = False
@@ -137,16 +139,12 @@ class Seen:
         self.info = info
 
 
-MOST_MISSING = 20_000
-"""Numbers remembered of one gateway."""
-
-
 class Fleet:
     """All gateways that were heard."""
 
     def __init__(self, base_topic: str = "mocap", wearers: Mapping[str, str] | None = None) -> None:
-        """wearers: who wears the suit of a gateway, by its name."""
-        self.gateways: dict[str, Seen] = {}
+        """Know no gateway yet. wearers: who wears the suit of a gateway, by its name."""
+        self.gateways: dict[str, SeenGateway] = {}
         self._topics = Topics(base_topic, ANY_GATEWAY)
         self._wearers = dict(wearers or {})
 
@@ -161,14 +159,14 @@ class Fleet:
         if below in (topics.POSE, topics.LATE_POSE):
             head = _HEAD.match(payload)
             if head is not None and not is_retained:
-                seen, t_ns, seq = self.gateways.setdefault(name, Seen()), int(head[1]), int(head[2])
+                seen, t_ns, seq = self.gateways.setdefault(name, SeenGateway()), int(head[1]), int(head[2])
                 if below == topics.POSE:
                     seen.pose(t_ns, seq, now_s, utc_ns)
                 elif seen.is_of_this_run(payload):
                     seen.late_pose(seq)
             return
         try:
-            self._take_other(self.gateways.setdefault(name, Seen()), below, payload)
+            self._take_other(self.gateways.setdefault(name, SeenGateway()), below, payload)
         except (ValidationError, orjson.JSONDecodeError):
             return
 
@@ -178,7 +176,7 @@ class Fleet:
         known = self.gateways.get(name)
         if not payload:
             if below == topics.BRIDGE_STATE and known is not None:
-                self.gateways[name] = Seen(has_left=True)
+                self.gateways[name] = SeenGateway(has_left=True)
             return False
         if known is None or not known.has_left:
             return True
@@ -187,7 +185,7 @@ class Fleet:
         del self.gateways[name]
         return True
 
-    def _take_other(self, seen: Seen, below: str, payload: bytes) -> None:
+    def _take_other(self, seen: SeenGateway, below: str, payload: bytes) -> None:
         match below:
             case topics.BRIDGE_STATE:
                 state = orjson.loads(payload)
@@ -204,21 +202,21 @@ class Fleet:
                 if isinstance(firmware, str):
                     seen.firmware[int(module[1])] = firmware[:40]
 
-    def rows(self, now_s: float) -> list[Row]:
+    def rows(self, now_s: float) -> list[OverviewRow]:
         """Return a row for each gateway, by name."""
         there = {name: seen for name, seen in sorted(self.gateways.items()) if not seen.has_left}
         versions = Counter(seen.info.version for seen in there.values() if seen.info is not None)
         usual = versions.most_common(1)[0][0] if versions else None
         return [self._row(name, seen, now_s, usual) for name, seen in there.items()]
 
-    def _row(self, name: str, seen: Seen, now_s: float, usual: str | None) -> Row:
+    def _row(self, name: str, seen: SeenGateway, now_s: float, usual: str | None) -> OverviewRow:
         window = [each for each in seen.window if now_s - each.begun_s < WINDOW_S]
         received, lost = sum(each.received for each in window), sum(each.missing for each in window)
         delays = sorted(each.delay_s for each in window if each.delay_s is not None)
         span_s = now_s - window[0].begun_s if window else 0.0
         recording = seen.health.statistics.get("recording") if seen.health is not None else None
         free_mb = recording.get("free_mb") if isinstance(recording, dict) else None
-        row = Row(
+        row = OverviewRow(
             gateway=name,
             wearer=self._wearers.get(name),
             state=seen.state,
@@ -232,10 +230,10 @@ class Fleet:
             firmware=tuple(sorted(set(seen.firmware.values()))),
             alerts=(),
         )
-        return Row(**{**asdict(row), "alerts": tuple(_alerts(row, seen, now_s, usual))})
+        return replace(row, alerts=tuple(_alerts(row, seen, now_s, usual)))
 
 
-def _alerts(row: Row, seen: Seen, now_s: float, usual: str | None) -> list[str]:
+def _alerts(row: OverviewRow, seen: SeenGateway, now_s: float, usual: str | None) -> list[str]:
     """Return what somebody should look at, in words."""
     found = []
     if row.state == "offline":
@@ -292,6 +290,6 @@ def take_into(fleet: Fleet) -> Take:
     return take
 
 
-def as_plain(rows: list[Row]) -> list[dict[str, Any]]:
+def as_plain(rows: list[OverviewRow]) -> list[dict[str, Any]]:
     """Return rows as JSON values."""
     return [asdict(row) for row in rows]

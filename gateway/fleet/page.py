@@ -149,7 +149,7 @@ class OverviewServer:
         return int(self._server.server_address[1])
 
     def rows(self) -> list[dict[str, Any]]:
-        """As the event loop has them."""
+        """Return the rows as the event loop has them now."""
         assert self._loop is not None
 
         async def ask() -> list[dict[str, Any]]:

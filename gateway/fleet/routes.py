@@ -24,7 +24,7 @@ class CuttableRoutes:
     """Passes bytes between nodes, each pair of them over ports of its own, in a thread of its own."""
 
     def __init__(self, nodes: Sequence[int]) -> None:
-        """nodes: port at which each takes the routes of the others."""
+        """Let everything pass. nodes: port at which each takes the routes of the others."""
         self._nodes = nodes
         self._ports: dict[tuple[int, int], int] = {}
         self._is_open: dict[tuple[int, int], asyncio.Event] = {}

@@ -36,7 +36,7 @@ class Solving:
 
 
 @dataclass(frozen=True)
-class Solved:
+class SolvedRecording:
     """What became of it."""
 
     recording: str
@@ -55,7 +55,7 @@ def jobs_of(archive: Archive, method: str) -> list[Solving]:
     return jobs
 
 
-def perform(job: Solving) -> Solved:
+def perform(job: Solving) -> SolvedRecording:
     """Solve one recording, unless its result is there already. Runs in a process of a worker."""
     archive = Archive(job.archive)
     site, day, wearer = (folder.split("=", 1)[1] for folder in job.recording.parts[-4:-1])
@@ -63,18 +63,18 @@ def perform(job: Solving) -> Solved:
     target = archive.part(Partition(job.method, site, day, wearer), name)
     provenance = {"recording": digest_of(job.recording), "solved": f"again by {job.method}"}
     if _is_made(target, provenance):
-        return Solved(name, was_there=True)
+        return SolvedRecording(name, was_there=True)
     try:
         recording = open_recording(job.recording)
         setup = recorded_setup(recording)
         setup = replace(setup, settings=setup.settings.model_copy(update={"reconstructor": job.method}))
         arrays = arrays_of(solve(recording, setup), setup.suit.skeleton)
         if arrays is None:
-            return Solved(name, error="no pose comes of it")
+            return SolvedRecording(name, error="no pose comes of it")
         archive.write(target, columns_of(arrays, recording), provenance)
     except (GatewayError, LinkError, OSError, ValueError) as error:
-        return Solved(name, error=str(error).splitlines()[0])
-    return Solved(name, len(arrays.time_ns))
+        return SolvedRecording(name, error=str(error).splitlines()[0])
+    return SolvedRecording(name, len(arrays.time_ns))
 
 
 def _is_made(target: Path, provenance: dict[str, str]) -> bool:
@@ -85,7 +85,7 @@ def _is_made(target: Path, provenance: dict[str, str]) -> bool:
 
 
 def run(
-    jobs: list[Solving], done: Callable[[Solved], None], workers: int = 1, address: str | None = None
+    jobs: list[Solving], done: Callable[[SolvedRecording], None], workers: int = 1, address: str | None = None
 ) -> None:
     """Perform all; ``done`` is told of each as it ends. A recording whose worker dies is given to another.
 
@@ -97,7 +97,11 @@ def run(
         for future in as_completed(names):
             error = future.exception()
             name = names[future].recording.stem
-            done(future.result() if error is None else Solved(name, error=f"{type(error).__name__}: {error}"))
+            done(
+                future.result()
+                if error is None
+                else SolvedRecording(name, error=f"{type(error).__name__}: {error}")
+            )
 
 
 @contextlib.contextmanager

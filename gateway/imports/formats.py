@@ -43,7 +43,7 @@ class ReadOptions:
 
 
 @dataclass(frozen=True)
-class Format:
+class ImportFormat:
     """How files of a format become a recording."""
 
     meaning: str
@@ -91,22 +91,22 @@ def _read_csv(paths: Sequence[Path], options: ReadOptions) -> RecordedTracks:
     return read_mapped_csv(paths[0], columns, options.columns.parent, partial=options.partial)
 
 
-FORMATS: dict[str, Format] = {
-    "xsens": Format(
+FORMATS: dict[str, ImportFormat] = {
+    "xsens": ImportFormat(
         "MT Manager and MTw text, also for OpenSense: one .txt or .csv a module",
         lambda paths, o: _read_xsens_text(_files_in(paths), o.rate_hz, partial=o.partial),
     ),
-    "mvnx": Format("Xsens MVN: orientations and path of a whole body", _read_mvnx, axes="mvnx"),
-    "bvh": Format("BVH of animation programs: a whole body", _read_bvh, axes="segments"),
-    "ximu3": Format(
+    "mvnx": ImportFormat("Xsens MVN: orientations and path of a whole body", _read_mvnx, axes="mvnx"),
+    "bvh": ImportFormat("BVH of animation programs: a whole body", _read_bvh, axes="segments"),
+    "ximu3": ImportFormat(
         "x-IMU3: a folder a module, or the folder of all",
         lambda paths, o: _read_ximu3(paths, align=o.align, partial=o.partial),
     ),
-    "movella-dot": Format(
+    "movella-dot": ImportFormat(
         "Movella DOT: one .csv a module",
         lambda paths, o: _read_movella_dot(_files_in(paths), align=o.align, partial=o.partial),
     ),
-    "csv": Format("any CSV, with a map of its columns", _read_csv),
+    "csv": ImportFormat("any CSV, with a map of its columns", _read_csv),
 }
 """By name on the command line."""
 

@@ -12,12 +12,12 @@ from devices.link import Link, LinkError, SentChunk, gateway_time_ns
 from gateway.frames import FusedReading, InertialBatch
 from gateway.sources.makers import (
     TALK_S,
-    Advice,
     Description,
     MakersCommands,
     MakersDevice,
     MakersSource,
     SampleWatcher,
+    SettingAdvice,
 )
 from gateway.sources.registry import source_kind
 from gateway.sources.source import Source
@@ -219,7 +219,7 @@ class MakersModules:
         received = sum(record.received for record in records if record is not None)
         return ReceivedCounts(received, device.dropped, device.made[InertialBatch], device.made[FusedReading])
 
-    async def advice(self, rate_hz: float) -> list[tuple[str, Advice]]:
+    async def advice(self, rate_hz: float) -> list[tuple[str, SettingAdvice]]:
         """Return what would be better otherwise in the devices' settings, with the link of each; of those
         that answer. rate_hz: of the poses."""
         found = [

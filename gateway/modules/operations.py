@@ -27,7 +27,7 @@ from gateway.errors import GatewayError
 from gateway.modules.journal import Entry, Journal, JournalError
 from gateway.modules.makers import MakersModule, MakersModules, changed
 from gateway.modules.motion import MotionWatch
-from gateway.modules.summary import Counts, count_samples, segments_of, summarise
+from gateway.modules.summary import SampleCounts, count_samples, segments_of, summarise
 from gateway.sources.suit import SuitSource
 
 _log = logging.getLogger(__name__)
@@ -133,7 +133,7 @@ class ModuleOperations:
             "absent": _absent(self._client.links) | _absent(self.makers.links),
         }
 
-    async def _counted_from(self, before: Counts, listen_s: float) -> Counts:
+    async def _counted_from(self, before: SampleCounts, listen_s: float) -> SampleCounts:
         """Wait; return the counts at the begin, or half-way where modules were heard only since.
 
         Some give no samples until their interval is known.

@@ -11,7 +11,7 @@ from devices.commands.command_client import LISTENS_TO, CommandClient
 from devices.endpoints import link_from_url
 from devices.link import SUIT, Chunk, Link, LinkBusyError, LinkError, SentChunk, gateway_time_ns
 from devices.links.reconnect import LinkState, ReconnectingLink
-from devices.replay_link import ReplayLink, contents_of
+from devices.replay_link import contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal
 from gateway.modules.makers import MakersModules
@@ -48,13 +48,17 @@ async def suit_session(
 ) -> AsyncIterator[ModuleOperations]:
     """Open the links of modules and read them until the end. Raises ``LinkError`` for one that is absent.
 
-    needs_all: False: those that are absent are opened once they come, as long as any is there.
+    needs_all: False: those that are absent are opened once they come, as long as any is there; recordings
+    must be there all the same.
 
     A link that is lost later is opened again: a module on USB goes away when it restarts. Links with no
     modules at the other end are left alone.
     """
     asked = [link for link in links if source_kind(link.carries).has_modules]
-    opened = {each.name: _link(each, needs_all) for each in asked}
+    opened = {
+        each.name: ReconnectingLink(link_from_url(each.url, name=each.name), strict=needs_all)
+        for each in asked
+    }
     modules = ModuleTable(clock_mode, is_compiled=False)  # done before kernels would be compiled
     context = SourceContext(suit, modules, links={link.name: link for link in links})
     sources = _Sources(context)
@@ -138,12 +142,6 @@ def connect_client(client: CommandClient, stream: SuitSource) -> None:
     client.senders = stream.senders
     for packet_class in LISTENS_TO:
         stream.listen(packet_class, client.take)
-
-
-def _link(settings: LinkSettings, needs_all: bool) -> ReconnectingLink:
-    """Return a link that, where it must be there, as a recording must, raises ``LinkError`` if it is not."""
-    link = link_from_url(settings.url, name=settings.name)
-    return ReconnectingLink(link, strict=needs_all or isinstance(link, ReplayLink))
 
 
 async def _open(link: ReconnectingLink) -> None:

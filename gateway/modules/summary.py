@@ -67,7 +67,7 @@ class ModuleList(Strict):
     segments: dict[str, int] = Field(description="module id that the rig gives to each segment")
 
 
-class Counts(NamedTuple):
+class SampleCounts(NamedTuple):
     """Sample counts at one moment, for rates."""
 
     time_ns: int
@@ -94,9 +94,9 @@ def local_devices_of(suit: WornSuit) -> dict[int, str]:
     }
 
 
-def count_samples(stream: SuitSource, time_ns: int) -> Counts:
+def count_samples(stream: SuitSource, time_ns: int) -> SampleCounts:
     """Return samples received so far, by module id."""
-    return Counts(
+    return SampleCounts(
         time_ns, {module: count_module_samples(record) for module, record in stream.modules.items()}
     )
 
@@ -105,8 +105,8 @@ def summarise(
     roster: Roster,
     stream: SuitSource,
     suit: WornSuit,
-    before: Counts,
-    after: Counts,
+    before: SampleCounts,
+    after: SampleCounts,
     makers: Mapping[int, MakersModule] | None = None,
 ) -> ModuleList:
     """Return the list of a roster, with rates between two counts. makers: modules of others that answered, by

@@ -35,7 +35,7 @@ SOUND = 1
 """Largest status of a segment that is taken: interpolated."""
 
 
-class Side(Record):
+class JointSide(Record):
     """A segment and its joint to the parent; constant."""
 
     parent: int  # −1 where one side has no module
@@ -47,7 +47,7 @@ class Side(Record):
 class Joints(NamedTuple):
     """The joints between modules; constant."""
 
-    sides: Records[Side]
+    sides: Records[JointSide]
     gravity: FloatArray  # (3,)
 
 
@@ -87,7 +87,7 @@ def joints_of(suit: WornSuit) -> Joints:
     parents, arms = suit.skeleton.parents.astype(np.int64), np.asarray(suit.lever_arms, np.float64)
     has_module = suit.module_of_segment >= 0
     joined = (parents >= 0) & has_module & has_module[parents]
-    sides = records(Side, len(parents))
+    sides = records(JointSide, len(parents))
     sides["parent"], sides["is_worn"] = np.where(joined, parents, -1), has_module
     sides["from_child"] = -arms
     sides["from_parent"] = np.where(joined[:, None], suit.skeleton.offsets - arms[parents], 0.0)
@@ -99,7 +99,7 @@ def initial_agreement(n: int) -> AgreementState:
     return AgreementState(records(Block, 1), records(Felt, n), records(Products, n * n))
 
 
-class Pose(NamedTuple):
+class FramePose(NamedTuple):
     """The pose of one frame."""
 
     q_wb: FloatArray  # (n, 4)
@@ -109,7 +109,7 @@ class Pose(NamedTuple):
 
 
 @compiled
-def watch_joints(joints: Joints, state: AgreementState, pose: Pose, dt: float) -> None:
+def watch_joints(joints: Joints, state: AgreementState, pose: FramePose, dt: float) -> None:
     """Update the sums by one frame, dt (s) after the one before."""
     q_wb, force, rate, block = pose.q_wb, pose.force, pose.rate, state.block[0]
     for s in range(len(joints.sides)):
@@ -264,7 +264,7 @@ def is_common(pairs: Records[Products], s: int, p: int) -> bool:
 
 
 @compiled
-def pairs_of(sides: Records[Side], pairs: Records[Products]) -> FloatArray:
+def pairs_of(sides: Records[JointSide], pairs: Records[Products]) -> FloatArray:
     """Return the ``Pair`` of each segment and its parent, (n, 4), with the arms that the rig gives.
 
     NaN where there is no joint, or too few samples of one of the two.

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -32,8 +33,8 @@ from gateway.reconstruction.joint_agreement import (
     LEAST_ACCELERATION,
     AgreementState,
     Joints,
+    JointSide,
     Products,
-    Side,
     is_common,
     pair,
     pairs_of,
@@ -58,12 +59,12 @@ UNKNOWN = math.pi
 NOBODY = -1
 
 
-class Worn(NamedTuple):
-    """How a suit is worn; constant."""
+class RigMounting(NamedTuple):
+    """How the rig says that modules are worn, and how else they may be; constant."""
 
     is_known: StatusArray  # (n,) whether the rig says where the module sits
     R_bs: FloatArray  # (n, 3, 3)
-    turns: FloatArray  # (23, 3, 3)
+    turns: FloatArray  # (23, 3, 3) the rotations of a box but the one that leaves it as it is
 
 
 class MountingState(NamedTuple):
@@ -77,11 +78,11 @@ class MountingState(NamedTuple):
     is_doubtful: StatusArray  # (n,)
 
 
-def worn_of(suit: WornSuit) -> Worn:
+def rig_mounting(suit: WornSuit) -> RigMounting:
     """Return what of a suit is needed to judge how its modules are worn."""
     arms = np.linalg.norm(np.asarray(suit.lever_arms, np.float64), axis=1)
     is_known = (suit.module_of_segment >= 0) & (arms > 0.0)
-    return Worn(is_known.astype(np.uint8), sensor_to_segment_matrices(suit), _turns())
+    return RigMounting(is_known.astype(np.uint8), sensor_to_segment_matrices(suit), _turns())
 
 
 def _turns() -> FloatArray:
@@ -128,155 +129,146 @@ class Asked(NamedTuple):
     floor: FloatArray  # (n,) what of it is no wonder
 
 
-class Measured(NamedTuple):
+class JointProducts(NamedTuple):
     """The joints and the sums of products of their modules."""
 
-    sides: Records[Side]
+    sides: Records[JointSide]
     pairs: Records[Products]
 
 
-def judge_mounting(joints: Joints, agreement: AgreementState, worn: Worn, state: MountingState) -> None:
+def judge_mounting(joints: Joints, agreement: AgreementState, rig: RigMounting, state: MountingState) -> None:
     """Judge anew how all modules are worn, ``JUDGED_EVERY_S`` after the last time."""
     state.since_s[0] = 0.0
-    n = len(joints.sides)
-    now = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1)))
-    asked = _asked(joints, agreement, worn, now)
-    explained: set[int] = set()
+    judgement = _Judgement(JointProducts(joints.sides, agreement.pairs), rig, state)
     for i in np.flatnonzero(state.is_doubtful):  # what still holds is not looked for again: that costs most
-        asked = _kept(joints, agreement, state, now, asked, explained, int(i))
-    while (found := _best(joints, agreement, worn, now, asked, explained)).gain >= GAIN:
-        rival = _best(joints, agreement, worn, now, asked, explained | {found.first, found.second})
-        is_open = found.first == found.second and rival.gain > AS_GOOD * found.gain
-        _apply(worn, now, found)
-        explained |= {found.first, found.second}
-        for s in (found.first, found.second):
+        judgement.keep(int(i))
+    while (found := judgement.best()).gain >= GAIN:
+        judgement.take(found)
+    judgement.settle()
+
+
+class _Judgement:
+    """How modules of n segments seem to be worn by the last seconds, explanation after explanation."""
+
+    def __init__(self, measured: JointProducts, rig: RigMounting, state: MountingState) -> None:
+        """Begin with all modules as the rig says; ``state``, the judgement before, is changed."""
+        n = len(measured.sides)
+        self._measured, self._rig, self._state = measured, rig, state
+        self._now = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1)))
+        self._asked = self._as_in_the_rig()
+        self._explained: set[int] = set()
+        """Segments that have an explanation in this judgement."""
+
+    def _as_in_the_rig(self) -> Asked:
+        """Return how the joints agree when all modules are worn as the rig says.
+
+        The disagreement is found as that of every explanation: all that an explanation calls is compiled with
+        the first judgement, not when the first explanation is found, which would stop a running gateway for
+        seconds.
+        """
+        sides, is_known = self._measured.sides, self._rig.is_known
+        _, _, power, swing = pairs_of(sides, self._measured.pairs).T
+        turned = self._differences(self._now, np.arange(len(sides)))
+        is_observable = (power >= LEAST_ACCELERATION**2) & (is_known > 0) & (is_known[sides["parent"]] > 0)
+        floor = ARM_OFF**2 * swing + TILT_OFF**2 * power + NOISE**2
+        return Asked(np.where(is_observable, turned, np.nan), np.where(is_observable, floor, np.nan))
+
+    def keep(self, s: int) -> None:
+        """Take an earlier explanation of segment s over where it still explains something."""
+        partner = int(self._state.partner[s])
+        if s in self._explained or partner in self._explained:
+            return
+        other = self._as_before(s)
+        if self._gain(other, s, partner) < STAYS_ABOVE:
+            return
+        self._now.place[:], self._now.turn[:] = other.place, other.turn
+        self._explain(s, partner)
+
+    def take(self, found: Found) -> None:
+        """Take an explanation for true, and note whether another one would be as good."""
+        first, second, state = found.first, found.second, self._state
+        rival = self.best({first, second})
+        is_open = first == second and rival.gain > AS_GOOD * found.gain
+        _apply(self._rig, self._now, found)
+        for s in (first, second):
             state.rival[s] = rival.first if is_open else NOBODY
-            state.partner[s], state.turn[s] = now.place[s], now.turn[s]
-        asked = _explained(joints, agreement, now, asked, found)
-    _settle(joints, agreement, state, now, asked, explained)
+            state.partner[s], state.turn[s] = self._now.place[s], self._now.turn[s]
+        self._explain(first, second)
 
+    def best(self, beside: Collection[int] = ()) -> Found:
+        """Return the explanation of the largest gain, at least ``GAIN``, of segments not explained yet.
 
-def _kept(
-    joints: Joints,
-    agreement: AgreementState,
-    state: MountingState,
-    now: Arrangement,
-    asked: Asked,
-    explained: set[int],
-    s: int,
-) -> Asked:
-    """Take an earlier explanation over into ``now`` and ``explained`` where it still explains something."""
-    partner = int(state.partner[s])
-    if s in explained or partner in explained:
-        return asked
-    other = _as_before(state, now, s)
-    if float(_gains(joints, agreement, other, asked, s, partner)[0]) < STAYS_ABOVE:
-        return asked
-    now.place[:], now.turn[:] = other.place, other.turn
-    explained |= {s, partner}
-    return _explained(joints, agreement, now, asked, Found(0.0, s, partner, 0))
+        Its gain is 0 if there is none. beside: segments that count as explained, too.
+        """
+        asked, now = self._asked, self._now
+        largest = np.nan_to_num(0.5 * np.log1p(asked.difference / asked.floor))  # nepers, by joint
+        if largest.sum() < GAIN:
+            return Found(0.0, NOBODY, NOBODY, 0)  # as in every suit that is worn right
+        is_free = self._rig.is_known > 0
+        is_free[list(self._explained.union(beside))] = False
+        at_work = Arrangement(now.place.copy(), now.turn.copy())
+        free = np.flatnonzero(is_free)
+        return Found(*_search(self._measured, at_work, self._rig, asked, largest, free))
 
+    def settle(self) -> None:
+        """Take explanations over into the state; keep earlier ones until their joints agree without them."""
+        state = self._state
+        for s in range(len(self._measured.sides)):
+            if s in self._explained:
+                state.judged[s] += 1
+                state.is_doubtful[s] |= state.judged[s] >= CONFIRMED_BY
+            elif not state.is_doubtful[s] or self._is_over(s):
+                state.judged[s], state.partner[s], state.rival[s], state.is_doubtful[s] = 0, NOBODY, NOBODY, 0
 
-def _as_before(state: MountingState, now: Arrangement, s: int) -> Arrangement:
-    """Return ``now`` with segment s and its partner as they were explained earlier."""
-    other = Arrangement(now.place.copy(), now.turn.copy())
-    for i in {s, int(state.partner[s])}:
-        other.place[i], other.turn[i] = state.partner[i], state.turn[i]
-    return other
+    def _is_over(self, s: int) -> bool:
+        """Return whether the latest motion no longer supports an earlier explanation of segment s."""
+        partner = int(self._state.partner[s])
+        if partner in self._explained:
+            return True  # that one has another explanation now
+        is_asked = bool(len(self._concerned(s, partner)))
+        return is_asked and self._gain(self._as_before(s), s, partner) < STAYS_ABOVE
 
+    def _explain(self, s: int, o: int) -> None:
+        """Ask the joints of two segments anew, as they are arranged now."""
+        self._explained |= {s, o}
+        difference, concerned = self._asked.difference.copy(), self._concerned(s, o)
+        after = self._differences(self._now, concerned)
+        difference[concerned] = np.where(np.isnan(after), difference[concerned], after)
+        self._asked = self._asked._replace(difference=difference)
 
-def _asked(joints: Joints, agreement: AgreementState, worn: Worn, now: Arrangement) -> Asked:
-    """Return how the joints agree when all modules are worn as the rig says.
+    def _as_before(self, s: int) -> Arrangement:
+        """Return the arrangement with segment s and its partner as they were explained earlier."""
+        other = Arrangement(self._now.place.copy(), self._now.turn.copy())
+        for i in {s, int(self._state.partner[s])}:
+            other.place[i], other.turn[i] = self._state.partner[i], self._state.turn[i]
+        return other
 
-    The disagreement is found as that of every explanation: all that an explanation calls is compiled with the
-    first judgement, not when the first explanation is found, which would stop a running gateway for seconds.
-    """
-    _, _, power, swing = pairs_of(joints.sides, agreement.pairs).T
-    turned = _differences(joints, agreement, now, np.arange(len(joints.sides)))[0]
-    is_known = (worn.is_known > 0) & (worn.is_known[joints.sides["parent"]] > 0)
-    is_observable = (power >= LEAST_ACCELERATION**2) & is_known
-    floor = ARM_OFF**2 * swing + TILT_OFF**2 * power + NOISE**2
-    return Asked(np.where(is_observable, turned, np.nan), np.where(is_observable, floor, np.nan))
+    def _concerned(self, s: int, o: int) -> IntArray:
+        """Return the joints that can be judged and that segment s or o is a part of."""
+        has_part = np.isin(self._measured.sides["parent"], (s, o))
+        has_part[[s, o]] = True
+        return np.flatnonzero(has_part & np.isfinite(self._asked.floor))
 
+    def _gain(self, other: Arrangement, s: int, o: int) -> float:
+        """Return by how many nepers an arrangement lowers the disagreements of the joints of two segments."""
+        concerned = self._concerned(s, o)
+        after = self._differences(other, concerned)
+        before, floor = self._asked.difference[concerned], self._asked.floor[concerned]
+        return float(np.nan_to_num(0.5 * np.log((before + floor) / (after + floor))).sum())
 
-def _explained(
-    joints: Joints, agreement: AgreementState, now: Arrangement, asked: Asked, found: Found
-) -> Asked:
-    """Return the same where an explanation is taken to be true."""
-    difference, concerned = asked.difference.copy(), _concerned(joints, asked, found.first, found.second)
-    after = _differences(joints, agreement, now, concerned)[0]
-    difference[concerned] = np.where(np.isnan(after), difference[concerned], after)
-    return Asked(difference, asked.floor)
-
-
-def _settle(
-    joints: Joints,
-    agreement: AgreementState,
-    state: MountingState,
-    now: Arrangement,
-    asked: Asked,
-    explained: set[int],
-) -> None:
-    """Take explanations over; keep earlier ones until their joints agree without them."""
-    for s in range(len(joints.sides)):
-        if s in explained:
-            state.judged[s] += 1
-            state.is_doubtful[s] |= state.judged[s] >= CONFIRMED_BY
-        elif not state.is_doubtful[s] or _is_over(joints, agreement, state, now, asked, explained, s):
-            state.judged[s], state.partner[s], state.rival[s], state.is_doubtful[s] = 0, NOBODY, NOBODY, 0
-
-
-def _is_over(
-    joints: Joints,
-    agreement: AgreementState,
-    state: MountingState,
-    now: Arrangement,
-    asked: Asked,
-    explained: set[int],
-    s: int,
-) -> bool:
-    """Return whether the latest motion no longer supports an earlier explanation of segment s."""
-    partner = int(state.partner[s])
-    if partner in explained:
-        return True  # that one has another explanation now
-    other = _as_before(state, now, s)
-    is_asked = bool(len(_concerned(joints, asked, s, partner)))
-    return is_asked and float(_gains(joints, agreement, other, asked, s, partner)[0]) < STAYS_ABOVE
-
-
-def _concerned(joints: Joints, asked: Asked, s: int, o: int) -> IntArray:
-    """Return the joints that can be judged and that segment s or o is a part of."""
-    has_part = np.isin(joints.sides["parent"], (s, o))
-    has_part[[s, o]] = True
-    return np.flatnonzero(has_part & np.isfinite(asked.floor))
-
-
-def _best(
-    joints: Joints,
-    agreement: AgreementState,
-    worn: Worn,
-    now: Arrangement,
-    asked: Asked,
-    explained: set[int],
-) -> Found:
-    """Return the explanation of the largest gain, at least ``GAIN``, of segments not explained yet.
-
-    Its gain is 0 if there is none.
-    """
-    best = Found(0.0, NOBODY, NOBODY, 0)
-    largest = np.nan_to_num(0.5 * np.log1p(asked.difference / asked.floor))  # nepers, by joint
-    if largest.sum() < GAIN:
-        return best  # as in every suit that is worn right
-    is_free = worn.is_known > 0
-    is_free[list(explained)] = False
-    at_work = Arrangement(now.place.copy(), now.turn.copy())
-    measured = Measured(joints.sides, agreement.pairs)
-    return Found(*_search(measured, at_work, worn, asked, largest, np.flatnonzero(is_free)))
+    def _differences(self, arrangement: Arrangement, concerned: IntArray) -> FloatArray:
+        """Return ``Pair.turned`` of joints (k,); NaN where the two modules have not sent together."""
+        return _arranged(self._measured, arrangement.place, arrangement.turn, concerned)
 
 
 @compiled
 def _search(
-    measured: Measured, now: Arrangement, worn: Worn, asked: Asked, largest: FloatArray, free: IntArray
+    measured: JointProducts,
+    now: Arrangement,
+    rig: RigMounting,
+    asked: Asked,
+    largest: FloatArray,
+    free: IntArray,
 ) -> tuple[float, int, int, int]:
     """Try all explanations of the segments ``free``; return the parts of a ``Found``.
 
@@ -295,11 +287,11 @@ def _search(
 
             turn_s, turn_o = turn[s].copy(), turn[o].copy()
             place[s], place[o] = place[o], place[s]
-            for h in range(len(worn.turns) if s == o else 1):
+            for h in range(len(rig.turns) if s == o else 1):
                 if s == o:
-                    turn[s] = worn.turns[h]
+                    turn[s] = rig.turns[h]
                 else:
-                    _exchange(turn, worn.R_bs, s, o)
+                    _exchange(turn, rig.R_bs, s, o)
                 total = 0.0
                 for j in range(len(sides)):
                     if _has_part(sides, asked.floor, j, s, o):
@@ -315,7 +307,7 @@ def _search(
 
 
 @compiled
-def _has_part(sides: Records[Side], floor: FloatArray, j: int, s: int, o: int) -> bool:
+def _has_part(sides: Records[JointSide], floor: FloatArray, j: int, s: int, o: int) -> bool:
     """Return whether a joint can be judged and segment s or o is a part of it."""
     return math.isfinite(floor[j]) and (j in (s, o) or sides[j].parent in (s, o))
 
@@ -331,49 +323,26 @@ def _exchange(turn: FloatArray, R_bs: FloatArray, s: int, o: int) -> None:
                 turn[o, i, k] += R_bs[s, i, m] * R_bs[o, k, m]
 
 
-def _apply(worn: Worn, to: Arrangement, found: Found) -> None:
+def _apply(rig: RigMounting, to: Arrangement, found: Found) -> None:
     """Arrange segments as an explanation says, in place."""
     s, o = found.first, found.second
     if s == o:
-        to.turn[s] = worn.turns[found.turn]
+        to.turn[s] = rig.turns[found.turn]
         return
     to.place[s], to.place[o] = o, s
-    to.turn[s], to.turn[o] = worn.R_bs[o] @ worn.R_bs[s].T, worn.R_bs[s] @ worn.R_bs[o].T
-
-
-def _gains(
-    joints: Joints, agreement: AgreementState, other: Arrangement, asked: Asked, s: int, o: int
-) -> FloatArray:
-    """Return by how many nepers arrangements lower the disagreements of joints, (H,).
-
-    The joints are those of segments s and o. other: with one turn (n, 3, 3), or H of them (H, n, 3, 3).
-    """
-    concerned = _concerned(joints, asked, s, o)
-    after = _differences(joints, agreement, other, concerned)
-    before, floor = asked.difference[concerned], asked.floor[concerned]
-    gains: FloatArray = np.nan_to_num(0.5 * np.log((before + floor) / (after + floor))).sum(axis=1)
-    return gains
-
-
-def _differences(
-    joints: Joints, agreement: AgreementState, now: Arrangement, concerned: IntArray
-) -> FloatArray:
-    """Return ``Pair.turned`` of joints, (H, k); NaN where the two modules have not sent together."""
-    turn = now.turn.reshape(-1, *now.turn.shape[-3:])
-    return _arranged(Measured(joints.sides, agreement.pairs), now.place, turn, concerned)
+    to.turn[s], to.turn[o] = rig.R_bs[o] @ rig.R_bs[s].T, rig.R_bs[s] @ rig.R_bs[o].T
 
 
 @compiled
-def _arranged(measured: Measured, place: IntArray, turn: FloatArray, concerned: IntArray) -> FloatArray:
-    found = np.empty((len(turn), len(concerned)))
-    for h in range(len(turn)):
-        for c in range(len(concerned)):
-            found[h, c] = _difference(measured, place, turn[h], concerned[c])
+def _arranged(measured: JointProducts, place: IntArray, turn: FloatArray, concerned: IntArray) -> FloatArray:
+    found = np.empty(len(concerned))
+    for c in range(len(concerned)):
+        found[c] = _difference(measured, place, turn, concerned[c])
     return found
 
 
 @compiled
-def _difference(measured: Measured, place: IntArray, turn: FloatArray, j: int) -> float:
+def _difference(measured: JointProducts, place: IntArray, turn: FloatArray, j: int) -> float:
     """Return ``Pair.turned`` of a joint; NaN where the two modules have not sent together."""
     side, p = measured.sides[j], measured.sides[j].parent
     if not is_common(measured.pairs, place[j], place[p]):

@@ -87,12 +87,19 @@ class _Block:
         nothing = np.zeros(self.observed_status.shape[1], np.int64)
         return [
             ImuFrame(
-                int(self.sequence[t]), int(self.time_ns[t]), self.specific_force[t], self.observed_rate[t],
-                self.magnetic_field[t], self.observed_status[t], nothing, tuple(local[t]),
-                sun=sight_of(self.sights[t]), clipped=self.clipped[t],
+                sequence=int(self.sequence[t]),
+                time_ns=int(self.time_ns[t]),
+                specific_force=self.specific_force[t],
+                angular_rate=self.observed_rate[t],
+                magnetic_field=self.magnetic_field[t],
+                status=self.observed_status[t],
+                gap_ns=nothing,
+                local=tuple(local[t]),
+                sun=sight_of(self.sights[t]),
+                clipped=self.clipped[t],
             )
             for t in range(len(self.time_ns))
-        ]  # fmt: skip
+        ]
 
     def found(self) -> Poses:
         """Return the poses that the filter has found."""
@@ -167,7 +174,7 @@ class Smoother:
             clipped=seen.clipped,
             sights=stacked_sights(clean),
             stood_s=stood_s,
-            step_s=prepared.dt,
+            step_s=prepared.segments.dt,
             readings=np.array(
                 [(t, r.device, r.time_ns, r.quantity, r.value, r.sigma) for t, r in readings], _READING
             ),

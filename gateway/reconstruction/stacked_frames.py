@@ -61,6 +61,18 @@ def unstacked(observations: Sequence[ImuFrame], frames: StackedFrames) -> list[I
     ]
 
 
+class PoseArrays(NamedTuple):
+    """T poses of n segments, as in ``SkeletonFrame``, for kernels that change them in place."""
+
+    q_wb: FloatArray  # (T, n, 4)
+    angular_rate: FloatArray  # (T, n, 3)
+    joint_acceleration: FloatArray  # (T, n, 3)
+    p_w: FloatArray  # (T, n, 3)
+    sigma: FloatArray  # (T, n)
+    status: StatusArray  # (T, n)
+    root: IntArray  # (T,)
+
+
 class Poses(NamedTuple):
     """What a finder has found of T instants, arrays of its own that may be changed in place."""
 
@@ -73,6 +85,12 @@ class Poses(NamedTuple):
     sigma: FloatArray  # (T, n)
     status: StatusArray  # (T, n)
     root: IntArray  # (T,)
+
+    def arrays(self) -> PoseArrays:
+        """Return what a kernel can change. Raises ``ValueError`` for arrays that are not in C order."""
+        if not all(array.flags.carray for array in self[2:]):
+            raise ValueError("poses must lie in arrays of C order, or kernels read other memory")
+        return PoseArrays(*self[2:])
 
     def frames(self) -> list[SkeletonFrame]:
         """Return the poses one by one, as views."""

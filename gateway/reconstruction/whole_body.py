@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gateway.body.interpolation import following_rules
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, ImuFrame, IntArray, Quantity, SkeletonFrame, Status, StatusArray
+from gateway.frames import FloatArray, ImuFrame, IntArray, Quantity, SkeletonFrame, unknown_pose
 from gateway.geometry.compiled import for_types_of
 from gateway.geometry.records import Records, records
 from gateway.reconstruction.inertial.contacts import (
@@ -41,7 +41,7 @@ from gateway.reconstruction.mounting import (
     MountingState,
     initial_mounting,
     judge_mounting,
-    worn_of,
+    rig_mounting,
 )
 from gateway.reconstruction.root_settings import NO_CONTACTS, RootMode, RootSettings
 from gateway.reconstruction.stacked_frames import (
@@ -56,9 +56,11 @@ from gateway.reconstruction.whole_body_frames import (
     NEVER_NS,
     After,
     Before,
+    SegmentFrames,
     finish_frames,
     observe_frames,
     prepare_frames,
+    segment_room,
 )
 
 _STUCK_FIELD = (
@@ -96,14 +98,13 @@ class Prepared(NamedTuple):
     """Without modules and magnetometers that are stuck."""
     frames: StackedFrames
     """The same, in arrays."""
-    specific_force: FloatArray
-    """(T, n, 3) by segment, segment axes, m/s²."""
-    clipped: StatusArray
-    """(T, n) by segment, ``Clipped`` sensors."""
-    stood_s: FloatArray
-    """(T, n) for how long each segment stands still, s; 0: it does not."""
-    dt: FloatArray
-    """(T,) s since the frame before."""
+    segments: SegmentFrames
+    """What was found of the segments themselves."""
+
+    @property
+    def stood_s(self) -> FloatArray:
+        """(T, n) for how long each segment stands still, s; 0: it does not."""
+        return self.segments.stood_s
 
 
 class _Memory(NamedTuple):
@@ -135,10 +136,10 @@ class WholeBodyReconstructor:
         self._suit = suit
         self.finder = finder
         self._array_finder = finder if isinstance(finder, _ArrayFinder) else None
-        self._joints, self._worn = joints_of(suit), worn_of(suit)
+        self._joints, self._mounting = joints_of(suit), rig_mounting(suit)
         self._places, self._walks = _ground(suit, root or RootSettings())
         self._prepare_frames: Callable[..., bool] = prepare_frames
-        self._finish_one: Callable[..., int] = finish_frames
+        self._finish_frames: Callable[..., int] = finish_frames
         self.reset()
         self._compile()
         self.reset()
@@ -147,7 +148,7 @@ class WholeBodyReconstructor:
         """Forget everything but the parameters."""
         self.finder.reset()
         n = self._suit.skeleton.n_segments
-        self._last = no_pose(n)
+        self._last = unknown_pose(n)
         self._clock = np.full(1, NEVER_NS, np.int64)
         self._memory = _Memory(
             initial_stance(n),
@@ -156,37 +157,35 @@ class WholeBodyReconstructor:
             initial_agreement(n),
             initial_mounting(n),
         )
-        self._before = self._before_finder()
-        self._arrays_before: Any = self._before.arrays()
-        self._arrays_after: Any = self._after_finder().arrays()
+        self._before, self._after = self._before_finder(), self._after_finder()
 
     def _before_finder(self) -> Before:
         suit, n = self._suit, self._suit.skeleton.n_segments
         carries = np.zeros(n)
         carries[[segment for segment, _ in suit.skeleton.contacts]] = 1.0
         return Before(
-            suit.module_of_segment.astype(np.int64),
-            sensor_to_segment_matrices(suit),
-            carries,
-            np.array([np.linalg.norm(suit.gravity)], np.float64),
-            self._clock,
-            self._memory.repeats,
-            self._memory.stance,
+            module_of_segment=suit.module_of_segment.astype(np.int64),
+            R_bs=sensor_to_segment_matrices(suit),
+            carries=carries,
+            gravity=np.array([np.linalg.norm(suit.gravity)], np.float64),
+            clock=self._clock,
+            repeats=self._memory.repeats,
+            stance=self._memory.stance,
         )
 
     def _after_finder(self) -> After:
         skeleton, memory = self._suit.skeleton, self._memory
         return After(
-            memory.mounting.since_s,
-            memory.mounting.is_doubtful,
-            self._joints,
-            memory.agreement,
-            following_rules(self._suit),
-            skeleton.parents.astype(np.int64),
-            np.array(skeleton.offsets, np.float64),
-            self._places,
-            self._walks,
-            memory.position,
+            judged=memory.mounting.since_s,
+            is_doubtful=memory.mounting.is_doubtful,
+            joints=self._joints,
+            agreement=memory.agreement,
+            rules=following_rules(self._suit),
+            parents=skeleton.parents.astype(np.int64),
+            offsets=np.array(skeleton.offsets, np.float64),
+            places=self._places,
+            walks=self._walks,
+            position=memory.position,
         )
 
     def update(self, observation: ImuFrame) -> SkeletonFrame:
@@ -226,24 +225,21 @@ class WholeBodyReconstructor:
         Stuck modules and magnetometers are left out, and it is found how long each segment has been standing
         still.
         """
-        frames, n = stacked(observations), self._suit.skeleton.n_segments
-        force, clipped, stood_s, dt = _room(len(observations), n)
-        if self._prepare_frames(*frames, force, clipped, stood_s, dt, *self._arrays_before):
+        frames = stacked(observations)
+        segments = segment_room(len(observations), self._suit.skeleton.n_segments)
+        if self._prepare_frames(frames, segments, self._before):
             observations = unstacked(observations, frames)
-        return Prepared(observations, frames, force, clipped, stood_s, dt)
+        return Prepared(observations, frames, segments)
 
     def prepared_again(
         self, observations: Sequence[ImuFrame], stood_s: FloatArray, dt: FloatArray
     ) -> Prepared:
         """Return what ``prepare`` made of instants once, from its own ``observations`` and arrays."""
         frames = stacked(observations)
-        force, clipped, *_ = _room(len(observations), self._suit.skeleton.n_segments)
-        before = self._before
-        observe_frames(
-            before.module_of_segment, before.R_bs, frames.specific_force, frames.status, frames.clipped,
-            force, clipped,
-        )  # fmt: skip
-        return Prepared(observations, frames, force, clipped, stood_s, dt)
+        segments = segment_room(len(observations), self._suit.skeleton.n_segments)
+        segments.stood_s[...], segments.dt[...] = stood_s, dt
+        observe_frames(frames, segments, self._before)
+        return Prepared(observations, frames, segments)
 
     def _found(self, prepared: Prepared) -> Poses:
         finder, stood_s = self.finder, prepared.stood_s
@@ -261,18 +257,12 @@ class WholeBodyReconstructor:
         Segments without a module are filled in, modules worn otherwise are marked, the body is placed in the
         world.
         """
-        first, is_judged, n_frames = 0, False, len(poses.root)
-        finish = self._finish_one if n_frames == 1 else finish_frames  # many may be a part, or backward
-        while True:
-            first = finish(
-                first, is_judged, poses.q_wb, poses.angular_rate, poses.p_w, poses.sigma, poses.status,
-                poses.root, prepared.specific_force, prepared.clipped, prepared.stood_s, prepared.dt,
-                *self._arrays_after,
-            )  # fmt: skip
-            if first == n_frames:
-                return poses.frames()
-            memory, is_judged = self._memory, True
-            judge_mounting(self._joints, memory.agreement, self._worn, memory.mounting)
+        arrays, memory, n_frames = poses.arrays(), self._memory, len(poses.root)
+        first = self._finish_frames(0, 0, arrays, prepared.segments, self._after)
+        while first < n_frames:
+            judge_mounting(self._joints, memory.agreement, self._mounting, memory.mounting)
+            first = self._finish_frames(first, first + 1, arrays, prepared.segments, self._after)
+        return poses.frames()
 
     def certainty(self) -> dict[str, dict[str, float | str | None]]:
         """Return how sure each segment's tilt and heading are, and what shows the heading.
@@ -367,19 +357,10 @@ class WholeBodyReconstructor:
         for k in range(2):
             frame = ImuFrame(k, k * 10_000_000, ones, 0.1 * ones, ones, none.astype(np.uint8), none)
             self.update(frame)
-        room, pose = _room(1, self._suit.skeleton.n_segments), stacked_poses((self._last,))
-        self._prepare_frames = for_types_of(prepare_frames, *stacked((frame,)), *room, *self._arrays_before)
-        self._finish_one = for_types_of(
-            finish_frames, 0, False, pose.q_wb, pose.angular_rate, pose.p_w, pose.sigma, pose.status,
-            pose.root, *room, *self._arrays_after,
-        )  # fmt: skip
-
-
-def no_pose(n: int) -> SkeletonFrame:
-    """Return the pose of n segments without any sample."""
-    q_wb, rate, acceleration, p_w = (np.full((n, size), np.nan) for size in (4, 3, 3, 3))
-    status = np.full(n, Status.MISSING, np.uint8)
-    return SkeletonFrame(0, 0, q_wb, rate, acceleration, p_w, np.full(n, np.nan), status, 0)
+        room = segment_room(1, self._suit.skeleton.n_segments)
+        self._prepare_frames = for_types_of(prepare_frames, stacked((frame,)), room, self._before)
+        pose = stacked_poses((self._last,)).arrays()
+        self._finish_frames = for_types_of(finish_frames, 0, 0, pose, room, self._after)
 
 
 def _numbers(pose: SkeletonFrame) -> IntArray:
@@ -411,12 +392,6 @@ class _Resumable(Protocol):
 
 def _in_words(segment: str) -> str:
     return segment.replace("_", " ")
-
-
-def _room(n_frames: int, n: int) -> tuple[FloatArray, StatusArray, FloatArray, FloatArray]:
-    """Return arrays for what ``prepare_frames`` writes of n segments."""
-    clipped = np.empty((n_frames, n), np.uint8)
-    return np.empty((n_frames, n, 3)), clipped, np.empty((n_frames, n)), np.empty(n_frames)
 
 
 def _ground(suit: WornSuit, root: RootSettings) -> tuple[Records[ContactPlace], Records[Walk]]:

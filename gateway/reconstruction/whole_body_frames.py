@@ -5,7 +5,7 @@ A live frame and a whole recording go through the same functions, so they agree 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,11 +15,8 @@ from gateway.frames import Clipped, FloatArray, IntArray, Status, StatusArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records
 from gateway.reconstruction.inertial.contacts import (
-    Contact,
     ContactPlace,
-    Position,
     PositionState,
-    Stance,
     StanceState,
     Walk,
     Walker,
@@ -27,18 +24,10 @@ from gateway.reconstruction.inertial.contacts import (
     watch_stance,
 )
 from gateway.reconstruction.inertial.observations import SegmentObservations, by_segment_into
-from gateway.reconstruction.joint_agreement import (
-    AgreementState,
-    Block,
-    Felt,
-    Joints,
-    Pose,
-    Products,
-    Side,
-    watch_joints,
-)
-from gateway.reconstruction.module_faults import Repeats, RepeatState, watch_repeats
+from gateway.reconstruction.joint_agreement import AgreementState, FramePose, Joints, watch_joints
+from gateway.reconstruction.module_faults import RepeatState, watch_repeats
 from gateway.reconstruction.mounting import JUDGED_EVERY_S, UNKNOWN
+from gateway.reconstruction.stacked_frames import PoseArrays, StackedFrames
 
 SHORTEST_STEP_S = 1e-5
 LONGEST_STEP_S = 0.5
@@ -48,6 +37,21 @@ INTERPOLATED, MISSING, DOUBTFUL = Status.INTERPOLATED.value, Status.MISSING.valu
 PREDICTED, UNAIDED = Status.PREDICTED.value, Status.UNAIDED.value
 RATE_CLIPPED, FORCE_CLIPPED = Clipped.ANGULAR_RATE.value, Clipped.SPECIFIC_FORCE.value
 LARGEST = float(np.finfo(np.float64).max)
+
+
+class SegmentFrames(NamedTuple):
+    """T instants of n segments, as the finder and what follows it are to see them."""
+
+    specific_force: FloatArray  # (T, n, 3) segment axes, m/s²
+    clipped: StatusArray  # (T, n) ``Clipped`` sensors
+    stood_s: FloatArray  # (T, n) for how long each segment stands still, s; 0: it does not
+    dt: FloatArray  # (T,) s since the frame before
+
+
+def segment_room(n_frames: int, n: int) -> SegmentFrames:
+    """Return arrays for what ``prepare_frames`` writes of n segments."""
+    clipped = np.empty((n_frames, n), np.uint8)
+    return SegmentFrames(np.empty((n_frames, n, 3)), clipped, np.empty((n_frames, n)), np.empty(n_frames))
 
 
 class Before(NamedTuple):
@@ -60,14 +64,6 @@ class Before(NamedTuple):
     clock: IntArray  # (1,) when the newest frame was, ns
     repeats: RepeatState
     stance: StanceState
-
-    def arrays(self) -> tuple[Any, ...]:
-        """Return the parts as the arguments of ``prepare_frames``.
-
-        Numba finds the type of an array that is an argument of its own at once, and that of one in a tuple
-        slowly.
-        """
-        return (*self[:5], *self.repeats, *self.stance)
 
 
 class After(NamedTuple):
@@ -84,78 +80,50 @@ class After(NamedTuple):
     walks: Records[Walk]  # one; none where the root does not walk
     position: PositionState
 
-    def arrays(self) -> tuple[Any, ...]:
-        """Return the parts as the arguments of ``finish_frames``."""
-        return (*self[:2], *self.joints, *self.agreement, *self[4:9], *self.position)
-
 
 @compiled
-def prepare_frames(
-    time_ns: IntArray,
-    specific_force: FloatArray,
-    angular_rate: FloatArray,
-    magnetic_field: FloatArray,
-    status: StatusArray,
-    clipped: StatusArray,
-    force_of_segment: FloatArray,
-    clipped_of_segment: StatusArray,
-    stood_s: FloatArray,
-    dt: FloatArray,
-    module_of_segment: IntArray,
-    R_bs: FloatArray,
-    carries: FloatArray,
-    gravity: FloatArray,
-    clock: IntArray,
-    repeats: Records[Repeats],
-    stances: Records[Stance],
-) -> bool:
+def prepare_frames(modules: StackedFrames, segments: SegmentFrames, before: Before) -> bool:
     """Prepare instants in time order for the finder; return whether any sensor is stuck.
 
-    Values of stuck modules, and the field of stuck magnetometers, are taken out in place. time_ns (T,), then
-    (T, m, 3) and (T, m) by module. Written are, by segment and in its axes, specific force (T, n, 3), clipped
-    sensors (T, n) and for how long each stands still (T, n), s; dt (T,) since the frame before, s; then the
-    arrays of a ``Before``.
+    modules: values of stuck modules, and the field of stuck magnetometers, are taken out in place.
+    segments: is written.
     """
-    observed = _nothing_observed(len(module_of_segment))
-    stance = StanceState(stances)
+    observed = _nothing_observed(len(before.module_of_segment))
+    repeats = before.repeats.modules
     any_stuck = False
-    for t in range(len(time_ns)):
-        dt[t] = _step(clock, time_ns[t])
-        watch_repeats(repeats, specific_force[t], angular_rate[t], magnetic_field[t], status[t], dt[t])
+    for t in range(len(modules.time_ns)):
+        force, rate, field = modules.specific_force[t], modules.angular_rate[t], modules.magnetic_field[t]
+        status, dt = modules.status[t], _step(before.clock, modules.time_ns[t])
+        segments.dt[t] = dt
+        watch_repeats(repeats, force, rate, field, status, dt)
         for m in range(len(repeats)):
             if repeats[m].is_stuck:
-                status[t, m] = MISSING
+                status[m] = MISSING
                 for i in range(3):
-                    specific_force[t, m, i], angular_rate[t, m, i] = np.nan, np.nan
+                    force[m, i], rate[m, i] = np.nan, np.nan
             if repeats[m].is_stuck or repeats[m].has_stuck_field:
                 any_stuck = True
                 for i in range(3):
-                    magnetic_field[t, m, i] = np.nan
+                    field[m, i] = np.nan
         by_segment_into(
-            observed, module_of_segment, R_bs, specific_force[t], angular_rate[t],
-            magnetic_field[t], status[t], clipped[t],
-        )  # fmt: skip
-        watch_stance(stood_s[t], stance, carries, gravity[0], observed, dt[t])
-        _copy(observed, force_of_segment[t], clipped_of_segment[t])
+            observed, before.module_of_segment, before.R_bs, force, rate, field, status, modules.clipped[t]
+        )
+        watch_stance(segments.stood_s[t], before.stance, before.carries, before.gravity[0], observed, dt)
+        _copy(observed, segments, t)
     return any_stuck
 
 
 @compiled
-def observe_frames(
-    module_of_segment: IntArray,
-    R_bs: FloatArray,
-    specific_force: FloatArray,
-    status: StatusArray,
-    clipped: StatusArray,
-    force_of_segment: FloatArray,
-    clipped_of_segment: StatusArray,
-) -> None:
-    """Write specific forces (T, n, 3) and clipped sensors (T, n) by segment, as ``prepare_frames`` does."""
-    observed = _nothing_observed(len(module_of_segment))
-    for t in range(len(status)):
-        force = specific_force[t]
-        by_segment_into(observed, module_of_segment, R_bs, force, force, force, status[t], clipped[t])
-        _copy(observed, force_of_segment[t], clipped_of_segment[t])
+def observe_frames(modules: StackedFrames, segments: SegmentFrames, before: Before) -> None:
+    """Write specific forces and clipped sensors of ``segments`` again, as ``prepare_frames`` does."""
+    observed = _nothing_observed(len(before.module_of_segment))
+    for t in range(len(modules.time_ns)):
+        force = modules.specific_force[t]
+        by_segment_into(
+            observed, before.module_of_segment, before.R_bs, force, force, force, modules.status[t],
+            modules.clipped[t],
+        )  # fmt: skip
+        _copy(observed, segments, t)
 
 
 @compiled
@@ -166,11 +134,12 @@ def _nothing_observed(n: int) -> SegmentObservations:
 
 
 @compiled
-def _copy(observed: SegmentObservations, force: FloatArray, clipped: StatusArray) -> None:
-    for s in range(len(clipped)):
-        clipped[s] = observed.clipped[s]
+def _copy(observed: SegmentObservations, segments: SegmentFrames, t: int) -> None:
+    """Write the specific forces and clipped sensors of instant t."""
+    for s in range(len(observed.clipped)):
+        segments.clipped[t, s] = observed.clipped[s]
         for i in range(3):
-            force[s, i] = observed.specific_force[s, i]
+            segments.specific_force[t, s, i] = observed.specific_force[s, i]
 
 
 @compiled
@@ -185,65 +154,40 @@ def _step(clock: IntArray, time_ns: int) -> float:
 
 
 @compiled
-def finish_frames(
-    first: int,
-    is_judged: bool,
-    q_wb: FloatArray,
-    rate: FloatArray,
-    p_w: FloatArray,
-    sigma: FloatArray,
-    status: StatusArray,
-    root: IntArray,
-    force: FloatArray,
-    clipped: StatusArray,
-    stood_s: FloatArray,
-    dt: FloatArray,
-    judged: FloatArray,
-    is_doubtful: StatusArray,
-    sides: Records[Side],
-    gravity: FloatArray,
-    block: Records[Block],
-    felt: Records[Felt],
-    pairs: Records[Products],
-    rules: Records[FollowingRule],
-    parents: IntArray,
-    offsets: FloatArray,
-    places: Records[ContactPlace],
-    walks: Records[Walk],
-    bodies: Records[Position],
-    contacts: Records[Contact],
-) -> int:
-    """Finish poses in time order from ``first`` on, in place: (T, n, 4), (T, n, 3), (T, n) and root (T,).
+def finish_frames(first: int, watched: int, poses: PoseArrays, segments: SegmentFrames, after: After) -> int:
+    """Finish poses in time order from frame ``first`` on, in place.
 
-    force, clipped, stood_s, dt: as ``prepare_frames`` has written them; then the arrays of an ``After``.
-    Returns the frame after which it is to be judged how modules are worn; called again with it and
-    ``is_judged``, it goes on. T: all is done.
+    Returns the frame after which it is to be judged how modules are worn: to go on, call again from that
+    one, whose joints have been watched. T: all is done. watched: frames before it have been watched.
     """
-    joints, agreement = Joints(sides, gravity), AgreementState(block, felt, pairs)
-    finite_rate, origin = np.empty((len(parents), 3)), np.empty(3)
-    for t in range(first, len(root)):
-        if t > first or not is_judged:
-            _mark_clipped(status[t], clipped[t])
-            watch_joints(joints, agreement, Pose(q_wb[t], force[t], rate[t], status[t]), dt[t])
-            judged[0] += dt[t]
-            if judged[0] >= JUDGED_EVERY_S:
+    n = len(after.parents)
+    finite_rate, origin = np.empty((n, 3)), np.empty(3)
+    for t in range(first, len(poses.root)):
+        q_wb, rate, p_w, status = poses.q_wb[t], poses.angular_rate[t], poses.p_w[t], poses.status[t]
+        force, dt = segments.specific_force[t], segments.dt[t]
+        if t >= watched:
+            _mark_clipped(status, segments.clipped[t])
+            watch_joints(after.joints, after.agreement, FramePose(q_wb, force, rate, status), dt)
+            after.judged[0] += dt
+            if after.judged[0] >= JUDGED_EVERY_S:
                 return t
 
-        mark_doubtful(status[t], sigma[t], is_doubtful)
-        follow(rules, q_wb[t], rate[t], sigma[t], status[t])
+        mark_doubtful(status, poses.sigma[t], after.is_doubtful)
+        follow(after.rules, q_wb, rate, poses.sigma[t], status)
 
-        if len(walks) > 0:
-            _bounded(rate[t], finite_rate)
-            walker = Walker(parents, offsets, places, walks[0], bodies[0], contacts)
-            place, stands_on = advance_position(walker, q_wb[t], finite_rate, force[t], stood_s[t], dt[t])
-            joint_positions_into(p_w[t], parents, offsets, q_wb[t], place)
+        if len(after.walks) > 0:
+            _bounded(rate, finite_rate)
+            body, contacts = after.position.body[0], after.position.contacts
+            walker = Walker(after.parents, after.offsets, after.places, after.walks[0], body, contacts)
+            place, stands_on = advance_position(walker, q_wb, finite_rate, force, segments.stood_s[t], dt)
+            joint_positions_into(p_w, after.parents, after.offsets, q_wb, place)
             if stands_on >= 0:
-                root[t] = stands_on
-        elif len(rules) > 0:
+                poses.root[t] = stands_on
+        elif len(after.rules) > 0:
             for i in range(3):
-                origin[i] = p_w[t, 0, i]
-            joint_positions_into(p_w[t], parents, offsets, q_wb[t], origin)
-    return len(root)
+                origin[i] = p_w[0, i]
+            joint_positions_into(p_w, after.parents, after.offsets, q_wb, origin)
+    return len(poses.root)
 
 
 @compiled

@@ -17,11 +17,12 @@ from gateway.contract.requests import MarkRequest, Request, StartRecordingReques
 from gateway.contract.ros_messages import BodyTransforms
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
-from gateway.recording.files import Contents, SessionFiles, free_bytes, prepare_folder
-from gateway.recording.recorder import Recorder, RecorderBalance, Sink
+from gateway.recording.files import Contents, SessionFiles, prepare_folder
+from gateway.recording.recorder import Recorder, RecorderBalance, RecordingSink
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
 from gateway.support.supervision import kept_running
+from gateway.support.whole_files import free_bytes
 
 STATISTICS_INTERVAL_S = 5.0
 WATCH_INTERVAL_S = 0.5
@@ -97,7 +98,7 @@ class RecordingControl:
             self._links, attachments_of(self._settings, self._suit), gateway.__version__, begins_whole
         )
         files = SessionFiles(self._settings.recording, contents, name)
-        sink = Sink(files.write, files.flush, files.close, files.abandon)
+        sink = RecordingSink(files.write, files.flush, files.close, files.abandon)
 
         self._files, self._begun = files, time.monotonic()
         self._is_wanted = True

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import re
 import tempfile
 import time
@@ -20,6 +19,7 @@ from devices.recording_file import RecordingError, part_path
 from devices.recording_writer import RecordingWriter, session_record
 from gateway.settings import RecordingSettings
 from gateway.support.names import IN_WORDS, RECORDING_NAME
+from gateway.support.whole_files import free_bytes
 
 log = logging.getLogger(__name__)
 
@@ -34,12 +34,6 @@ class Contents:
     attachments: Mapping[str, bytes]
     software: str
     from_start: bool
-
-
-def free_bytes(folder: Path) -> int:
-    """Return the room on the disk that a folder is on, as an ordinary user has it."""
-    figures = os.statvfs(folder)
-    return figures.f_bavail * figures.f_frsize
 
 
 def prepare_folder(settings: RecordingSettings, free: Callable[[Path], int] = free_bytes) -> Path:

@@ -199,9 +199,15 @@ def _solve_live(task: _Task, progress: Progress | None) -> SolvedTrial:
         end_ns = _begun_ns(trial) + round(trial.duration_s * 1e9)
         writer.add(fmt.STATISTICS, end_ns, json.dumps(pipeline.statistics()).encode())
     return SolvedTrial(
-        task.target, frames, markers.labels, fits.residuals, fits.used, tuple(fits.renamed),
-        dict(optical.counts), 1e3 * spent / max(trial.n_frames, 1),
-    )  # fmt: skip
+        path=task.target,
+        frames=frames,
+        labels=markers.labels,
+        residuals=fits.residuals,
+        used=fits.used,
+        renamed=tuple(fits.renamed),
+        counts=dict(optical.counts),
+        ms_per_frame=1e3 * spent / max(trial.n_frames, 1),
+    )
 
 
 def _solve_published(task: _Task, progress: Progress | None) -> SolvedTrial:
@@ -218,9 +224,15 @@ def _solve_published(task: _Task, progress: Progress | None) -> SolvedTrial:
         for chunk, frame in zip(chunks, frames, strict=True):
             add_solved(writer, chunk, CARRIES, [frame])
     return SolvedTrial(
-        task.target, trial.n_frames, markers.labels, solved.residuals, solved.seen, (),
-        {"passes": solved.motion.passes}, 1e3 * spent / max(trial.n_frames, 1),
-    )  # fmt: skip
+        path=task.target,
+        frames=trial.n_frames,
+        labels=markers.labels,
+        residuals=solved.residuals,
+        used=solved.seen,
+        renamed=(),
+        counts={"passes": solved.motion.passes},
+        ms_per_frame=1e3 * spent / max(trial.n_frames, 1),
+    )
 
 
 def _solve_both_ways(task: _Task, progress: Progress | None) -> SolvedTrial:
@@ -237,9 +249,15 @@ def _solve_both_ways(task: _Task, progress: Progress | None) -> SolvedTrial:
             add_solved(writer, chunk, CARRIES, [frame])
             fits.add(index, frame.markers)
     return SolvedTrial(
-        task.target, len(solved), markers.labels, fits.residuals, fits.used, tuple(fits.renamed),
-        dict(counts), 1e3 * spent / max(len(solved), 1),
-    )  # fmt: skip
+        path=task.target,
+        frames=len(solved),
+        labels=markers.labels,
+        residuals=fits.residuals,
+        used=fits.used,
+        renamed=tuple(fits.renamed),
+        counts=dict(counts),
+        ms_per_frame=1e3 * spent / max(len(solved), 1),
+    )
 
 
 METHODS = {"default": _solve_live, BOTH_WAYS: _solve_both_ways, PUBLISHED: _solve_published}

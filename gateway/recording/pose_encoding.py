@@ -54,15 +54,15 @@ def decode_skeleton_frame(data: bytes) -> SkeletonFrame:
             arrays[name] = np.full(shape, np.nan)
     status = np.frombuffer(data, np.uint8, n_segments, _HEAD.size).copy()
     return SkeletonFrame(
-        sequence,
-        time_ns,
-        arrays["q_wb"],
-        arrays["angular_rate"],
-        arrays["joint_acceleration"],
-        arrays["p_w"],
-        arrays["sigma"],
-        status,
-        root,
+        sequence=sequence,
+        time_ns=time_ns,
+        q_wb=arrays["q_wb"],
+        angular_rate=arrays["angular_rate"],
+        joint_acceleration=arrays["joint_acceleration"],
+        p_w=arrays["p_w"],
+        sigma=arrays["sigma"],
+        status=status,
+        root=root,
     )
 
 

@@ -36,7 +36,7 @@ _EARLY = 0.75
 log = logging.getLogger(__name__)
 
 
-class Sink(NamedTuple):
+class RecordingSink(NamedTuple):
     """What the thread does: see ``gateway.recording.files``."""
 
     write: Callable[[str, int, bytes, Mapping[str, str]], None]
@@ -49,7 +49,7 @@ class Sink(NamedTuple):
 
 
 @dataclass
-class Counts:
+class MessageCounts:
     """What became of what was handed over, by kind of message: chunks, sent, skeleton, markers, tf,
     events, statistics."""
 
@@ -79,7 +79,7 @@ class Recorder:
 
     def __init__(
         self,
-        sink: Sink,
+        sink: RecordingSink,
         flush_s: float,
         on_end: Callable[[str], None] | None = None,
         transforms: BodyTransforms | None = None,
@@ -90,7 +90,7 @@ class Recorder:
         on_end: called in the thread with the reason, when the recording ends by itself.
         transforms: with it, poses are written as transforms too, for viewers.
         """
-        self.counts = Counts()
+        self.counts = MessageCounts()
         self.ended: str | None = None
         """Why nothing is recorded any more; None while it is."""
         self._sink = sink

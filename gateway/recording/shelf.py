@@ -32,12 +32,12 @@ from gateway.errors import GatewayError, nearest
 from gateway.frames import SkeletonFrame
 from gateway.geometry import quaternion
 from gateway.recording.exporters.formats import FORMATS
-from gateway.recording.files import free_bytes
 from gateway.recording.pose_encoding import decode_skeleton_frame
 from gateway.recording.reading import Recording
 from gateway.recording.summary import recordings_in, summarise
 from gateway.settings import RecordingSettings
 from gateway.support.names import KEPT_FILE
+from gateway.support.whole_files import free_bytes
 
 _UNNAMED = "{name}: a name of up to 128 letters a to z, digits, '-', '_' and '.' is wanted here: rename it"
 _LONGEST_QUOTED = 60

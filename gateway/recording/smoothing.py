@@ -54,7 +54,7 @@ class _Section:
             yield self._resets.apply(pose)
 
 
-class SmoothedPoses:
+class RecordingSmoother:
     """Takes all inputs of a recording, then hands the poses out, grouped as the inputs completed them.
 
     A context manager: its temporary folder, some 6 kB a frame of 17 modules, goes with it.
@@ -72,7 +72,7 @@ class SmoothedPoses:
             self._temporary.cleanup()
             raise
 
-    def __enter__(self) -> SmoothedPoses:
+    def __enter__(self) -> RecordingSmoother:
         return self
 
     def __exit__(self, *_: object) -> None:

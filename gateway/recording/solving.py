@@ -31,7 +31,7 @@ from gateway.recording.reading import (
     Recording,
     decode_message,
 )
-from gateway.recording.smoothing import SmoothedPoses
+from gateway.recording.smoothing import RecordingSmoother
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
 
@@ -93,7 +93,7 @@ def solve(
     if not chosen.smoothed:
         yield from pipeline.replay(recording.inputs(progress))
         return
-    with SmoothedPoses(pipeline) as smoothing:
+    with RecordingSmoother(pipeline) as smoothing:
         # Smoothing goes forward and backward: half of the work each.
         for item in recording.inputs(_half(progress, 0)):
             smoothing.take(item)
@@ -216,7 +216,7 @@ def _poses_by_message(
     if not setup.smoothed:
         yield partial(_fed, pipeline), progress
         return
-    with SmoothedPoses(pipeline) as smoothing:
+    with RecordingSmoother(pipeline) as smoothing:
         # A smoother needs the end before the first pose: all messages are gone through twice.
         for message in _with_progress(recording, _half(progress, 0)):
             if _is_input(message):

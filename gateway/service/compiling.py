@@ -23,10 +23,10 @@ from firmware_protocol import (
 )
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
+from gateway.frames import FloatArray, ImuFrame, SkeletonFrame, unknown_pose
 from gateway.geometry import compiled
 from gateway.pipeline import Pipeline
-from gateway.reconstruction import DELAYABLE, RECONSTRUCTORS, RootMode, RootSettings, whole_body
+from gateway.reconstruction import DELAYABLE, RECONSTRUCTORS, RootMode, RootSettings
 from gateway.reconstruction.whole_body import WholeBodyReconstructor
 from gateway.service.readiness import FALLBACK, FIRST, make_ready, note_of
 from gateway.sources.clock_mode import ClockMode
@@ -156,7 +156,7 @@ class _NothingFound:
 
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
         """Return a frame in which every segment is missing."""
-        return whole_body.no_pose(self._n)
+        return unknown_pose(self._n)
 
     def reset(self) -> None:
         """Do nothing: the reconstructor is stateless."""

@@ -44,6 +44,7 @@ class Observer:
         suit: WornSuit,
         info: BridgeInfo,
         pipeline: Pipeline,
+        *,
         links: Sequence[Link],
         mqtt: MqttOutput,
         side: SideOutputs,

@@ -21,7 +21,7 @@ from devices.link import (
 )
 from devices.links.link_counts import LinkCounts
 from devices.links.reconnect import LinkState, LinkStatus, ReconnectingLink
-from devices.replay_link import ReplayLink, contents_of
+from devices.replay_link import contents_of, is_recording
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
 from gateway.calibration.kept_rig import KeptRig
@@ -40,7 +40,7 @@ from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder, in_turn
 from gateway.outputs.side_outputs import SideOutputs
-from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, Pipeline, Worn
+from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, Pipeline, PreparedSuit
 from gateway.reconstruction.video.reconstructor import VideoReconstructor
 from gateway.recording.control import RecordingControl
 from gateway.recording.shelf import Shelf
@@ -153,11 +153,18 @@ class Service:
         self.shedding = Shedding(
             self.load, self.mqtt, self.side, self._apply_event, lambda: self._link_counts
         )
-        parts = self.pipeline, self.links, self.mqtt, self.side
         self.observer = Observer(
-            settings, suit, info, *parts,
-            balances=self.balances, load=self.load, not_recorded=lambda: self.recording.failure,
-        )  # fmt: skip
+            settings,
+            suit,
+            info,
+            self.pipeline,
+            links=self.links,
+            mqtt=self.mqtt,
+            side=self.side,
+            balances=self.balances,
+            load=self.load,
+            not_recorded=lambda: self.recording.failure,
+        )
 
     def _build_commands(self, suit: WornSuit) -> ModuleOperations:
         """Build what is sent to modules: commands, requests for time, triggers. Return the operations."""
@@ -389,7 +396,8 @@ class Service:
         contents = self._contents_of(link)
         for name, content in contents.items():
             self.pipeline.add_link(name, content)
-        if not isinstance(link, ReplayLink):
+        is_live = not is_recording(link)
+        if is_live:
             self._makers.add_link(link, self.pipeline.source_of(link.name))
             if self._takes_commands(link):
                 self._announced.append(link)
@@ -408,7 +416,7 @@ class Service:
                 if isinstance(item, Chunk):
                     n_poses += self._take_chunk(item, contents[item.link])
                     # The arrival times of a recording are not of today, so they say nothing of the load.
-                    if not isinstance(link, ReplayLink):
+                    if is_live:
                         self.shedding.note_lag(link.name, counts, item.arrived_ns)
                     if self.side.is_waiting or n_poses >= _POSES_A_TURN:
                         n_poses = 0
@@ -469,12 +477,14 @@ class Service:
         self.recording.sent(sent)
         self.pipeline.sent(sent)
 
-    def _apply_event(self, name: str, data: Mapping[str, Any], worn: Worn | None = None) -> dict[str, object]:
+    def _apply_event(
+        self, name: str, data: Mapping[str, Any], prepared: PreparedSuit | None = None
+    ) -> dict[str, object]:
         """Apply a reset or a calibration, and record it as an input; return what changed.
 
         Raises ``GatewayError`` if the suit or the method does not allow it.
         """
-        changed = self.pipeline.event(name, data, worn)
+        changed = self.pipeline.event(name, data, prepared)
         # Recorded only once it was applied: a replay then meets no event that failed.
         self.recording.event(name, data)
         self.recording.worn(self.pipeline.suit)
@@ -485,8 +495,8 @@ class Service:
 
         Raises ``GatewayError``.
         """
-        worn = await asyncio.to_thread(self.pipeline.prepare, data)
-        self._apply_event(CALIBRATED_EVENT, data, worn)
+        prepared = await asyncio.to_thread(self.pipeline.prepare, data)
+        self._apply_event(CALIBRATED_EVENT, data, prepared)
 
     def _replay_event(self, event: InputEvent) -> None:
         """Apply an event of a recording that is played; ignore it where this suit or method cannot."""

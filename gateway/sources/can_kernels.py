@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from firmware_protocol.can_framing import (
     CLASSIC_DATA_SIZE,
     FD,
@@ -25,6 +27,7 @@ from gateway.frames import IntArray
 from gateway.geometry.compiled import compiled
 from gateway.sources.wire_kernels import (
     Bytes,
+    Room,
     Row,
     Rows,
     defect_of_frame,
@@ -45,24 +48,34 @@ from gateway.sources.wire_layout import (
 )
 
 
+class Unfinished(NamedTuple):
+    """Wire frames of which not all pieces have come."""
+
+    frames: Rows  # (MAX_PARTIAL_FRAMES,) PARTIAL
+    places: IntArray  # (N_STREAMS,) of each stream's frame in them, from 1; 0: it has none
+
+
 @compiled
-def _forget(decoder: Rows, partial: Rows, places: IntArray, place: int) -> None:
+def _forget(decoder: Rows, unfinished: Unfinished, place: int) -> None:
     """Give up an unfinished wire frame, which counts unless it has been counted as spoilt."""
-    if partial[place].pieces >= 0:
+    if unfinished.frames[place].pieces >= 0:
         drop(decoder, LOST_FRAGMENT)
-    _free(decoder, partial, places, place)
+    _free(decoder, unfinished, place)
 
 
 @compiled
-def _free(decoder: Rows, partial: Rows, places: IntArray, place: int) -> None:
-    places[partial[place].stream] = 0
-    partial[place].begun = 0
+def _free(decoder: Rows, unfinished: Unfinished, place: int) -> None:
+    """Have a place free for another wire frame."""
+    frame = unfinished.frames[place]
+    unfinished.places[frame.stream] = 0
+    frame.begun = 0
     decoder[0].n_partial -= 1
 
 
 @compiled
-def _begin(decoder: Rows, partial: Rows, places: IntArray, stream: int, pieces: int) -> int:
+def _begin(decoder: Rows, unfinished: Unfinished, stream: int, pieces: int) -> int:
     """Begin a wire frame, or with ``pieces`` -1 the rest of a spoilt one; return its place."""
+    partial, places = unfinished.frames, unfinished.places
     place = int(places[stream]) - 1
     # A free place, or else that of the oldest frame, which will hardly be completed any more.
     if place < 0:
@@ -74,7 +87,7 @@ def _begin(decoder: Rows, partial: Rows, places: IntArray, stream: int, pieces: 
                 break
         place = oldest
         if decoder[0].n_partial >= MAX_PARTIAL_FRAMES:
-            _forget(decoder, partial, places, place)
+            _forget(decoder, unfinished, place)
         decoder[0].n_partial += 1
         decoder[0].n_begun += 1
         places[stream], partial[place].stream, partial[place].begun = place + 1, stream, decoder[0].n_begun
@@ -83,17 +96,18 @@ def _begin(decoder: Rows, partial: Rows, places: IntArray, stream: int, pieces: 
 
 
 @compiled
-def _place_of(decoder: Rows, partial: Rows, places: IntArray, stream: int, index: int) -> int:
+def _place_of(decoder: Rows, unfinished: Unfinished, stream: int, index: int) -> int:
     """Return where a piece belongs: to a wire frame that it begins or goes on with, or to a spoilt one."""
-    place = int(places[stream]) - 1
+    partial = unfinished.frames
+    place = int(unfinished.places[stream]) - 1
     if index == 0:
         if place >= 0:
-            _forget(decoder, partial, places, place)
-        return _begin(decoder, partial, places, stream, 0)
+            _forget(decoder, unfinished, place)
+        return _begin(decoder, unfinished, stream, 0)
     if place >= 0 and (partial[place].pieces == index or partial[place].pieces < 0):
         return place
     drop(decoder, LOST_FRAGMENT)
-    return _begin(decoder, partial, places, stream, -1)
+    return _begin(decoder, unfinished, stream, -1)
 
 
 @compiled
@@ -117,15 +131,13 @@ def _reassemble(frame: Row, is_fd: bool, raw: Bytes, at: int) -> int:
 
 
 @compiled
-def decode_records(
-    data: bytes, treatments: Bytes, decoder: Rows, partial: Rows, places: IntArray,
-    entries: Rows, left: IntArray, raw: Bytes, begin: int, at: int, n: int,
-) -> int:  # fmt: skip
+def decode_records(data: bytes, decoder: Rows, unfinished: Unfinished, room: Room) -> int:
     """Take records apart; return the number of entries.
 
-    data: a chunk; partial: (MAX_PARTIAL_FRAMES,) PARTIAL; places: (N_STREAMS,) of each stream in it, from 1;
-    raw: (at least ``CARRIED`` more bytes than ``data``); all else as for ``decode_stream``.
+    data: a chunk; ``room.raw``: for at least ``CARRIED`` more bytes than ``data``; all else as for
+    ``decode_stream``.
     """
+    begin, at, n = 0, 0, 0
     decoder[0].n_left = 0
     while begin + RECORD_SIZE <= len(data):
         identifier, is_fd = unsigned(data, begin, FD_FLAGS_AT), data[begin + FD_FLAGS_AT] & FD != 0
@@ -138,8 +150,8 @@ def decode_records(
             decoder[0].damaged -= 1  # none of ours
             continue
         stream = (identifier & STREAM_MASK) >> STREAM_SHIFT
-        place = _place_of(decoder, partial, places, stream, identifier & INDEX_MASK)
-        frame = partial[place]
+        place = _place_of(decoder, unfinished, stream, identifier & INDEX_MASK)
+        frame = unfinished.frames[place]
         if frame.pieces >= 0:
             for k in range(length):
                 frame.data[frame.size + k] = data[start + k]
@@ -148,14 +160,14 @@ def decode_records(
         if identifier & LAST == 0:
             continue
         if frame.pieces >= 0:
-            stop = _reassemble(frame, is_fd, raw, at)
-            defect = defect_of_frame(raw, at, stop) if stop >= 0 else -1 - stop
+            stop = _reassemble(frame, is_fd, room.raw, at)
+            defect = defect_of_frame(room.raw, at, stop) if stop >= 0 else -1 - stop
             if defect >= 0:
                 drop(decoder, defect)
             else:
-                n = take_frame(raw, at, stop, treatments, decoder, entries, left, n)
+                n = take_frame(room, decoder, n, at, stop)
                 at = stop
-        _free(decoder, partial, places, place)
+        _free(decoder, unfinished, place)
     if begin < len(data):
         drop(decoder, TRUNCATED)
     return n

@@ -13,11 +13,11 @@ from devices.link import Chunk, Framing
 from firmware_protocol import Defect, FrameDecoder, PacketDecoder, ReceivedPacket
 from firmware_protocol.can_framing import MAX_PARTIAL_FRAMES
 from gateway.geometry.compiled import for_types_of
-from gateway.sources.can_kernels import decode_records
+from gateway.sources.can_kernels import Unfinished, decode_records
 from gateway.sources.module_rows import SHARED_KINDS
 from gateway.sources.module_table import ModuleTable
-from gateway.sources.readings import Readings
-from gateway.sources.wire_kernels import decode_stream, follow
+from gateway.sources.readings import ReadingCollector
+from gateway.sources.wire_kernels import Room, decode_stream, follow
 from gateway.sources.wire_layout import (
     CARRIED,
     DECODER,
@@ -45,7 +45,7 @@ class Entries:
     """
 
     def __init__(self) -> None:
-        self.treatments = treatments()
+        self._treatments = treatments()
         self.n = 0
         """Entries in use."""
         self.packets: dict[int, ReceivedPacket] = {}
@@ -61,18 +61,16 @@ class Entries:
     def fit(self, n_bytes: int) -> None:
         """Make room for whatever so many bytes can hold."""
         self.n_bytes = n_bytes
-        self.raw = np.zeros(n_bytes + CARRIED, np.uint8)
+        raw = np.zeros(n_bytes + CARRIED, np.uint8)
         # No more entries fit than the smallest ones would.
-        most = len(self.raw) // ENTRY_SIZE + 1
-        self.rows = np.zeros(most, ENTRY)
-        self.left = np.zeros(most, np.int64)
-        """Places of those that are left to Python."""
-        self._numbers = self.rows.view(np.int64).reshape(most, -1)
+        most = len(raw) // ENTRY_SIZE + 1
+        self.room = Room(self._treatments, np.zeros(most, ENTRY), np.zeros(most, np.int64), raw)
+        self._numbers = self.room.entries.view(np.int64).reshape(most, -1)
         self.events = np.zeros(2 * most, EVENT)
 
     def leave_samples(self, kind: int, are_left: bool) -> None:
         """Leave samples of a kind to Python, or take them again."""
-        self.treatments[kind] = READABLE if are_left else SAMPLE + SHARED_KINDS[kind]
+        self._treatments[kind] = READABLE if are_left else SAMPLE + SHARED_KINDS[kind]
 
     def begin(self, n: int, n_left: int, decoder: PacketDecoder) -> None:
         """Take what a kernel has found; have ``decoder`` decode what it left to Python."""
@@ -80,10 +78,10 @@ class Entries:
         if self.packets:
             self.packets = {}
         if n_left:
-            for place in self.left[:n_left].tolist():
+            for place in self.room.left[:n_left].tolist():
                 packet = self._decoded(place)
                 if packet is None:
-                    self.rows[place]["how"] = UNKNOWN
+                    self.room.entries[place]["how"] = UNKNOWN
                     self._dropped += 1
                 else:
                     self.packets[place] = packet
@@ -96,7 +94,7 @@ class Entries:
 
     def _decoded(self, place: int) -> ReceivedPacket | None:
         _, kind, module, sequence, module_time_us, relayed_us, start, stop = self._numbers[place].tolist()
-        entry = kind, module, sequence, module_time_us, self.raw[start:stop].tobytes()
+        entry = kind, module, sequence, module_time_us, self.room.raw[start:stop].tobytes()
         return self._decoder.decode(entry, None if relayed_us < 0 else relayed_us)
 
 
@@ -137,13 +135,11 @@ class CompiledDecoder(Row):
 
     def _compile(self) -> Callable[..., Any]:
         """Return the kernel that takes bytes apart, compiled now and not when the first packets wait."""
-        to = self._entries
-        return for_types_of(decode_stream, b"", to.treatments, self._row, to.rows, to.left, to.raw, 0, 0, 0)
+        return for_types_of(decode_stream, b"", self._row, self._entries.room)
 
     def _decode(self, data: bytes) -> int:
         """Have the kernel take bytes apart; return the number of entries."""
-        to = self._entries
-        used, n = self._kernel(data, to.treatments, self._row, to.rows, to.left, to.raw, 0, 0, 0)
+        used, n = self._kernel(data, self._row, self._entries.room)
         self._partial = data[used:]
         return int(n)
 
@@ -153,19 +149,14 @@ class CompiledCanDecoder(CompiledDecoder):
 
     def __init__(self, entries: Entries) -> None:
         """Decode into ``entries``, which other decoders may share."""
-        self._frames = np.zeros(MAX_PARTIAL_FRAMES, PARTIAL)
-        self._places = np.zeros(N_STREAMS, np.int64)
+        self._unfinished = Unfinished(np.zeros(MAX_PARTIAL_FRAMES, PARTIAL), np.zeros(N_STREAMS, np.int64))
         super().__init__(entries)
 
     def _compile(self) -> Callable[..., Any]:
-        to, partial = self._entries, (self._frames, self._places)
-        return for_types_of(
-            decode_records, b"", to.treatments, self._row, *partial, to.rows, to.left, to.raw, 0, 0, 0
-        )
+        return for_types_of(decode_records, b"", self._row, self._unfinished, self._entries.room)
 
     def _decode(self, data: bytes) -> int:
-        to, partial = self._entries, (self._frames, self._places)
-        return int(self._kernel(data, to.treatments, self._row, *partial, to.rows, to.left, to.raw, 0, 0, 0))
+        return int(self._kernel(data, self._row, self._unfinished, self._entries.room))
 
 
 DECODERS: Mapping[Framing, type[CompiledDecoder]] = {
@@ -177,7 +168,7 @@ DECODERS: Mapping[Framing, type[CompiledDecoder]] = {
 class Follower:
     """Turns the samples among the packets of a chunk into rows of a batch, by kernels."""
 
-    def __init__(self, table: ModuleTable, readings: Readings) -> None:
+    def __init__(self, table: ModuleTable, readings: ReadingCollector) -> None:
         """Follow the clocks of ``table``, and put samples into ``readings``."""
         self._table = table
         self._readings = readings
@@ -186,8 +177,7 @@ class Follower:
     def warm_up(self, entries: Entries) -> None:
         """Compile the kernel now, not when the first packets wait."""
         self._follow = for_types_of(
-            follow, 0, 0, 0, 0, entries.rows, entries.raw, self._table.rows, self._readings.rows, 0,
-            entries.events,
+            follow, 0, 0, 0, 0, entries.room, self._table.rows, self._readings.rows, 0, entries.events
         )  # fmt: skip
 
     def others(self, entries: Entries, chunk: Chunk) -> Iterator[ReceivedPacket]:
@@ -196,8 +186,8 @@ class Follower:
         while at < n:
             if at not in entries.packets:
                 at, readings.n_rows, n_events = self._follow(
-                    at, n, chunk.arrived_ns, table.losses(chunk.link).chunk, entries.rows, entries.raw,
-                    table.rows, readings.rows, readings.n_rows, entries.events,
+                    at, n, chunk.arrived_ns, table.losses(chunk.link).chunk, entries.room, table.rows,
+                    readings.rows, readings.n_rows, entries.events,
                 )  # fmt: skip
                 if n_events:
                     self._note(entries.events[:n_events], chunk.link)

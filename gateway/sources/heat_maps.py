@@ -9,7 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver
+from devices.cameras.heat_map_messages import (
+    HeatMapMessage,
+    HeatMapReceiver,
+    encode_heat_maps,
+    quantised,
+)
 from devices.link import Chunk
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.contract.balances import Balance
@@ -24,6 +29,8 @@ PATIENCE_NS = 250_000_000
 SILENT_NS = 1_000_000_000
 """A camera of which nothing has come for so long is not waited for."""
 
+_NOWHERE = np.zeros((2, 3))
+"""The map from pixels where there are no heat maps."""
 _MOST_LOGGED = 16
 """Different reasons for which messages are left out that are logged."""
 _BEGUN_ANEW = 8
@@ -40,7 +47,7 @@ class HeatMapSource(ListeningSource):
         assert suit.video is not None
         self._known = KnownCameras(suit.video)
         self._receivers: dict[str, HeatMapReceiver] = {}
-        self._instants = Instants(len(self._known.rows))
+        self._instants = CameraInstants(len(self._known.rows))
         self._refused: dict[str, Counter[str]] = {}
         """By link: unknown_camera, other_network, too_late."""
 
@@ -57,7 +64,7 @@ class HeatMapSource(ListeningSource):
             frames += map(self._frame, self._instants.complete())
         return frames
 
-    def _frame(self, instant: Instant) -> HeatMapFrame:
+    def _frame(self, instant: CameraInstant) -> HeatMapFrame:
         """Return the person without a number, in all cameras."""
         shown = {
             row: each for row, messages in instant.messages.items() for each in messages if each.person == 0
@@ -136,7 +143,7 @@ class KnownCameras:
 
 
 @dataclass(frozen=True, slots=True)
-class Instant:
+class CameraInstant:
     """What the cameras told of one instant."""
 
     sequence: int
@@ -146,7 +153,7 @@ class Instant:
     """By camera's row, a message for each person that it followed; none of a camera not waited for."""
 
 
-class Instants:
+class CameraInstants:
     """Messages of several cameras put together by their sequence numbers, given out in order.
 
     An instant waits for a camera that may still send it: not for one that has sent a later one (the
@@ -190,7 +197,7 @@ class Instants:
         self._since_ns.setdefault(message.sequence, arrived_ns)
         return True
 
-    def complete(self) -> Iterator[Instant]:
+    def complete(self) -> Iterator[CameraInstant]:
         """Yield instants that all cameras have told of, or that are given up waiting for, in order."""
         while self._waiting:
             first = min(self._waiting)
@@ -202,7 +209,7 @@ class Instants:
             self.given += 1
             self.incomplete += len(messages) < self._n
             assert self._offset_ns is not None
-            yield Instant(first, messages[min(messages)][0].time_ns + self._offset_ns, messages)
+            yield CameraInstant(first, messages[min(messages)][0].time_ns + self._offset_ns, messages)
 
     def _is_awaited(self, sequence: int) -> bool:
         """Return whether a camera may still tell of this instant, and is waited for."""
@@ -225,6 +232,34 @@ def heat_map_frame(sequence: int, messages: Sequence[bytes]) -> HeatMapFrame:
     """Return a frame of one instant's messages, one per camera; its time is that of the first."""
     read = [HeatMapReceiver().receive(message)[0] for message in messages]
     return HeatMapFrame(sequence, read[0].time_ns, tuple(map(heat_maps_of, read)))
+
+
+def encoded_maps(
+    camera: str,
+    network: str,
+    sequence: int,
+    time_ns: int,
+    maps: CameraHeatMaps | None,
+    *,
+    person: int = 0,
+    following: int = 0,
+) -> bytes:
+    """Return the message of one person in one picture of a camera, whose inverse is ``heat_maps_of``.
+
+    maps: None: the person is not in the picture. person, following: as in ``HeatMapMessage``.
+    """
+    return encode_heat_maps(
+        HeatMapMessage(
+            camera=camera,
+            network=network,
+            sequence=sequence,
+            time_ns=time_ns,
+            likelihood=None if maps is None else quantised(maps.likelihood),
+            map_from_pixel=_NOWHERE if maps is None else maps.map_from_pixel,
+            person=person,
+            following=following,
+        )
+    )
 
 
 def heat_maps_of(message: HeatMapMessage | None) -> CameraHeatMaps | None:

@@ -89,7 +89,7 @@ class MakersLinkSettings(OthersLinkSettings):
         return cls(name=name, url="recording:", carries=content, module=0)
 
 
-class Decoder(Protocol):
+class MakersDecoder(Protocol):
     """Bytes of one device to its messages; never raises for what they hold."""
 
     dropped: Counter[str]
@@ -104,7 +104,7 @@ class Decoder(Protocol):
 class MakersDevice:
     """What is known of the device on one link, or of all that share it. A maker's own extends this."""
 
-    new_decoder: ClassVar[Callable[[], Decoder]]
+    new_decoder: ClassVar[Callable[[], MakersDecoder]]
 
     def __init__(self, settings: Any) -> None:
         """Serve one device; ``settings`` are those of its link, of the class that its source names."""
@@ -173,7 +173,7 @@ class MakersDevice:
     def sent(self, chunk: SentChunk) -> None:
         """Take note of what was put on the link."""
 
-    def findings(self, rate_hz: float) -> Iterator[Advice]:
+    def findings(self, rate_hz: float) -> Iterator[SettingAdvice]:
         """Yield what would be better otherwise, as far as listening shows. rate_hz: of the poses."""
         yield from ()
 
@@ -382,7 +382,7 @@ def cannot_blink(why: str) -> DeviceError:
     return DeviceError(f"{why}: shake it, and see in `mocap-gateway view` which segment moves")
 
 
-class Advice(NamedTuple):
+class SettingAdvice(NamedTuple):
     """Something in a device's settings that a gateway would have otherwise."""
 
     found: str
@@ -432,7 +432,7 @@ class MakersCommands(Protocol):
         """Change settings, keep them over a loss of power, and return what stands there now."""
         ...
 
-    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[Advice]:
+    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[SettingAdvice]:
         """Yield what would be better otherwise in settings that were read. rate_hz: of the poses."""
         ...
 

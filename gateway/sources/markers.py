@@ -57,7 +57,7 @@ class MarkerFrames:
     """The chunks of one link. Markers that the body does not have are left out, and counted by name."""
 
     def __init__(self, markers: BodyMarkers, person: str | None = None, link: str = "markers") -> None:
-        """person: whose markers, as in ``spellings``; link: its name, for what is logged."""
+        """Read nothing yet. person: whose markers, as in ``spellings``; link: its name, for the log."""
         self._n_markers = len(markers.labels)
         self._rows = _Rows(markers.labels, person, link)
         self._vertical = markers.vertical

@@ -27,13 +27,13 @@ from gateway.frames import NOT_READ, Clipped, Sample
 from gateway.sources.makers import (
     LEAST_RATE_SHARE,
     MAGNETIC,
-    Advice,
     CommandLine,
-    Decoder,
     Description,
+    MakersDecoder,
     MakersDevice,
     MakersLinkSettings,
     MakersSource,
+    SettingAdvice,
     StampCounter,
     cannot_blink,
     identity,
@@ -69,7 +69,7 @@ class MtiCanLinkSettings(MakersLinkSettings):
 class MtiDevice(MakersDevice):
     """A device counts its packets, all that it sends, and stamps them in steps of 100 µs."""
 
-    new_decoder: ClassVar[Callable[[], Decoder]] = MtiDecoder
+    new_decoder: ClassVar[Callable[[], MakersDecoder]] = MtiDecoder
 
     def __init__(self, settings: MakersLinkSettings) -> None:
         super().__init__(settings)
@@ -196,21 +196,21 @@ class MtiCommands:
 
         return await _configuring(line, change)
 
-    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[Advice]:
+    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[SettingAdvice]:
         """Yield what would be better otherwise. rate_hz: of the poses."""
         command = f"mocap-gateway modules set {module} {{}} --allow-writes"
         for name in _WANTED:
             if not settings.get(name):
                 rate = EVERY_PACKET if isinstance(ITEMS[name].layout, str) else round(rate_hz)
-                yield Advice(f"sends no {name.replace('_', ' ')}", command.format(f"{name}={rate}"))
+                yield SettingAdvice(f"sends no {name.replace('_', ' ')}", command.format(f"{name}={rate}"))
         for name in ("acceleration", "rate_of_turn"):
             if 0 < settings.get(name, 0) < LEAST_RATE_SHARE * rate_hz:
                 found = (
                     f"sends {name.replace('_', ' ')} {settings[name]} times a second for {rate_hz:g} poses"
                 )
-                yield Advice(found, command.format(f"{name}={round(rate_hz)}"))
+                yield SettingAdvice(found, command.format(f"{name}={round(rate_hz)}"))
         if not settings.get("status_word"):
-            yield Advice(
+            yield SettingAdvice(
                 "does not say when a sensor is clipped", command.format(f"status_word={EVERY_PACKET}")
             )
 

@@ -10,7 +10,7 @@ _ROOM = 128
 """Samples made room for at a time, which costs as much as ten of them."""
 
 
-class Readings:
+class ReadingCollector:
     """Collects the readings of a chunk, of one after another; samples with nothing between are a batch."""
 
     def __init__(self) -> None:

@@ -40,7 +40,6 @@ from gateway.errors import nearest
 from gateway.frames import NOT_READ, Sample
 from gateway.sources.makers import (
     LEAST_RATE_SHARE,
-    Advice,
     Announced,
     CommandLine,
     Description,
@@ -48,6 +47,7 @@ from gateway.sources.makers import (
     MakersDevice,
     MakersSource,
     OthersLinkSettings,
+    SettingAdvice,
     cannot_blink,
     health,
     identity,
@@ -238,31 +238,31 @@ class SlimevrDevice(MakersDevice):
             token = int.from_bytes(chunk.data[12:], "big")
             self._asked[token % _TOKENS] = token, chunk.sent_ns
 
-    def findings(self, rate_hz: float) -> Iterator[Advice]:
+    def findings(self, rate_hz: float) -> Iterator[SettingAdvice]:
         """Yield who has no number, who is silent, and what a tracker's firmware lacks."""
         for key, firmware in self._unknown_trackers.items():
-            yield Advice(
+            yield SettingAdvice(
                 f"a tracker {_shown(key)} ({firmware or 'no name'}) has no number",
                 f"write it into the link: trackers: {{'{_shown(key)}': NUMBER}}",
             )
         for key, module in self.settings.trackers.items():
             found = self._sensors.get(module)
             if found is None or not found.line.interval_ns:
-                yield Advice(
+                yield SettingAdvice(
                     f"tracker {_shown(key)} (module {module}) sends no orientations",
                     "switch it on, in this machine's network; it stays with whoever answers first: close the "
                     "SlimeVR server",
                 )
                 continue  # without orientations nothing else can be said of the tracker
             if found.acceleration is None:
-                yield Advice(
+                yield SettingAdvice(
                     f"tracker {_shown(key)} (module {module}) sends no acceleration: without it joints "
                     "tell little",
                     "update its firmware",
                 )
             sent_hz = 1e9 / found.line.interval_ns
             if sent_hz < LEAST_RATE_SHARE * rate_hz:
-                yield Advice(
+                yield SettingAdvice(
                     f"tracker {_shown(key)} (module {module}) sends {sent_hz:.0f} orientations a second for "
                     f"{rate_hz:g} poses",
                     f"assembly: {{rate_hz: {sent_hz:.0f}}} in the configuration",
@@ -479,10 +479,10 @@ class SlimevrCommands:
             device.note_setting(line.module, value)
         return dict(settings)
 
-    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[Advice]:
+    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[SettingAdvice]:
         """Yield what would be better otherwise. rate_hz: of the poses."""
         if settings.get("magnetometer"):
-            yield Advice(
+            yield SettingAdvice(
                 f"the magnetometer of module {module} is on: its heading turns with the iron of the room",
                 f"mocap-gateway modules set {module} magnetometer=false --allow-writes",
             )

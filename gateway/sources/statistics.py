@@ -32,7 +32,7 @@ class LinkLosses:
         self._noticed: dict[Cause, int] = {}
 
     def notice(self, cause: Cause) -> None:
-        """It happened before, or in, the chunk in hand."""
+        """Note a cause of losses that came before, or in, the chunk in hand."""
         self._noticed[cause] = self.chunk
 
     def cause_since(self, chunk: int) -> Cause:

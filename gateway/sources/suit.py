@@ -48,7 +48,7 @@ from gateway.sources.compiled_decoding import DECODERS, Entries, Follower
 from gateway.sources.exchanges import TimeExchanges
 from gateway.sources.module_rows import SHARED_KINDS
 from gateway.sources.module_table import ModuleTable
-from gateway.sources.readings import Readings
+from gateway.sources.readings import ReadingCollector
 from gateway.sources.source import SourceContext
 from gateway.sources.statistics import ModuleRecord
 
@@ -80,7 +80,7 @@ class SuitSource:
         """Packets of a host, ours or another one's, that came back over a bus."""
         # samples of other clocks, and answers to triggers, are all for Python
         self._is_compiled = self.table.is_followed and triggers is None
-        self._readings = Readings()
+        self._readings = ReadingCollector()
         self._entries = Entries()
         self._follower = Follower(self.table, self._readings)
         self._decoders: dict[str, LinkDecoder | SenderDecoders[Entries]] = {}

@@ -9,7 +9,7 @@ any other packet.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,28 @@ Row = Any
 """One element of a structured array, whose fields are attributes in compiled code."""
 Rows = Any
 """A structured array."""
+
+
+class Room(NamedTuple):
+    """What packets are decoded into: one for all links of a stream."""
+
+    treatments: Bytes  # (256,) by kind, whether and how it is read here
+    entries: Rows  # (k,) ENTRY, as many as the bytes can hold
+    left: IntArray  # (k,) places of the entries that are left to Python
+    raw: Bytes  # unstuffed bytes
+
+
+class Head(NamedTuple):
+    """What is said of a packet before its body, and where in ``Room.raw`` that lies."""
+
+    kind: int
+    module: int
+    sequence: int
+    time_us: int
+    relayed_us: int  # when a relay sent it on; -1: none did
+    start: int
+    stop: int
+
 
 _FULL_BLOCK = 255
 """Length of a COBS block after which no zero is left out."""
@@ -144,39 +166,36 @@ def drop(decoder: Rows, defect: int) -> None:
 
 
 @compiled
-def _take_entry(
-    raw: Bytes, treatments: Bytes, decoder: Rows, entries: Rows, left: IntArray, n: int,
-    kind: int, module: int, sequence: int, time_us: int, relayed_us: int, start: int, stop: int,
-) -> int:  # fmt: skip
+def _take_entry(room: Room, decoder: Rows, n: int, head: Head) -> int:
     """Append a packet's entry, or count its defect; return how many entries there are now."""
-    how = int(treatments[kind])
-    defect = _defect_of_packet(how, module, raw, start, stop)
+    how = int(room.treatments[head.kind])
+    defect = _defect_of_packet(how, head.module, room.raw, head.start, head.stop)
     if defect >= 0:
         drop(decoder, defect)
         return n
-    entry = entries[n]
-    entry.how, entry.kind, entry.module, entry.sequence = how, kind, module, sequence
-    entry.module_time_us, entry.relayed_us, entry.start, entry.stop = time_us, relayed_us, start, stop
+    entry = room.entries[n]
+    entry.how, entry.kind, entry.module, entry.sequence = how, head.kind, head.module, head.sequence
+    entry.module_time_us, entry.relayed_us = head.time_us, head.relayed_us
+    entry.start, entry.stop = head.start, head.stop
     if how == READABLE:
-        left[decoder[0].n_left] = n
+        room.left[decoder[0].n_left] = n
         decoder[0].n_left += 1
     return n + 1
 
 
 @compiled
-def take_frame(
-    raw: Bytes, start: int, stop: int, treatments: Bytes, decoder: Rows, entries: Rows, left: IntArray, n: int
-) -> int:
-    """Append the packets of a wire frame; return how many entries there are now."""
+def take_frame(room: Room, decoder: Rows, n: int, start: int, stop: int) -> int:
+    """Append the packets of the wire frame in ``room.raw[start:stop]``; return how many entries there are
+    now.
+    """
+    raw = room.raw
     kind, module = int(raw[start + KIND_AT]), int(raw[start + MODULE_AT])
     sequence = unsigned(raw, start + SEQUENCE_AT, SEQUENCE_SIZE)
     time_us = unsigned(raw, start + TIME_AT, TIME_SIZE)
     at, end = start + HEADER_SIZE, stop - CHECKSUM_SIZE
-    relayed_us = time_us if treatments[kind] == BATCH else -1
+    relayed_us = time_us if room.treatments[kind] == BATCH else -1
     if relayed_us < 0:
-        return _take_entry(
-            raw, treatments, decoder, entries, left, n, kind, module, sequence, time_us, relayed_us, at, end
-        )
+        return _take_entry(room, decoder, n, Head(kind, module, sequence, time_us, relayed_us, at, end))
     if module != RELAY:
         drop(decoder, BAD_MODULE)
         return n
@@ -188,10 +207,7 @@ def take_frame(
         kind, module = int(raw[at + ENTRY_KIND_AT]), int(raw[at + ENTRY_MODULE_AT])
         sequence = unsigned(raw, at + ENTRY_SEQUENCE_AT, SEQUENCE_SIZE)
         time_us = unsigned(raw, at + ENTRY_TIME_AT, TIME_SIZE)
-        n = _take_entry(
-            raw, treatments, decoder, entries, left, n,
-            kind, module, sequence, time_us, relayed_us, body, body_end,
-        )  # fmt: skip
+        n = _take_entry(room, decoder, n, Head(kind, module, sequence, time_us, relayed_us, body, body_end))
         at = body_end
     if at < end:
         drop(decoder, TRUNCATED)
@@ -199,26 +215,15 @@ def take_frame(
 
 
 @compiled
-def decode_stream(
-    data: bytes,
-    treatments: Bytes,
-    decoder: Rows,
-    entries: Rows,
-    left: IntArray,
-    raw: Bytes,
-    begin: int,
-    at: int,
-    n: int,
-) -> tuple[int, int]:
+def decode_stream(data: bytes, decoder: Rows, room: Room) -> tuple[int, int]:
     """Take bytes apart, as ``FrameDecoder`` and ``PacketDecoder`` do.
 
-    data: what was left of the bytes before, and a chunk; treatments: (256,) by kind; decoder: (1,) DECODER;
-    entries: as many ENTRY as the bytes can hold; raw: (at least as many bytes as ``data``) unstuffed bytes;
-    begin, at, n: from where on to take bytes, unstuffed bytes and entries. Return how many bytes of ``data``
-    are done with, and the number of entries.
+    data: what was left of the bytes before, and a chunk; decoder: (1,) DECODER; ``room.raw``: for at least as
+    many bytes as ``data``. Return how many bytes of ``data`` are done with, and the number of entries.
     """
+    begin, at, n = 0, 0, 0
     decoder[0].n_left = 0
-    for place in range(begin, len(data)):
+    for place in range(len(data)):
         if data[place] != 0:
             continue
         # The end of an overlong frame: what follows the delimiter is good again.
@@ -227,12 +232,12 @@ def decode_stream(
         elif place - begin > MAX_STUFFED_SIZE:
             drop(decoder, OVERLONG)
         elif place > begin:
-            stop = _unstuff(data, begin, place, raw, at)
-            defect = BAD_STUFFING if stop < 0 else defect_of_frame(raw, at, stop)
+            stop = _unstuff(data, begin, place, room.raw, at)
+            defect = BAD_STUFFING if stop < 0 else defect_of_frame(room.raw, at, stop)
             if defect >= 0:
                 drop(decoder, defect)
             else:
-                n = take_frame(raw, at, stop, treatments, decoder, entries, left, n)
+                n = take_frame(room, decoder, n, at, stop)
                 at = stop
         # The frame's end is not in this chunk; beyond the largest size it can only be noise.
         begin = place + 1
@@ -263,18 +268,18 @@ def _read_sample(raw: Bytes, entry: Row, sample: Row) -> None:
 
 @compiled
 def follow(
-    at: int, n: int, arrived_ns: int, chunk: int, entries: Rows, raw: Bytes, modules: Rows,
-    samples: Rows, n_samples: int, events: Rows,
+    at: int, n: int, arrived_ns: int, chunk: int, room: Room, modules: Rows, samples: Rows,
+    n_samples: int, events: Rows,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Take the samples of entries from ``at`` to ``n``, up to one that is not usual.
 
-    arrived_ns: gateway time of the chunk; chunk: its number on its link; entries, raw: of ``decode_stream``;
-    modules: (256,) MODULE; samples: INERTIAL_SAMPLE of which ``n_samples`` are taken; events: twice as many
-    EVENT as entries. Return where it stopped, and how many samples and events there are now.
+    arrived_ns: gateway time of the chunk; chunk: its number on its link; room: what ``decode_stream`` has
+    filled; modules: (256,) MODULE; samples: INERTIAL_SAMPLE of which ``n_samples`` are taken; events: twice
+    as many EVENT as entries. Return where it stopped, and how many samples and events there are now.
     """
     n_events, tick_us = 0, -1
     while at < n:
-        entry = entries[at]
+        entry = room.entries[at]
         if entry.how == UNKNOWN:
             at += 1
             continue
@@ -302,7 +307,7 @@ def follow(
         sample = samples[n_samples]
         sample.module, sample.sequence = entry.module, full
         sample.time_ns = follow_clock(module.clock, full_us, arrived_ns)
-        _read_sample(raw, entry, sample)
+        _read_sample(room.raw, entry, sample)
         n_samples += 1
         at += 1
     return at, n_samples, n_events

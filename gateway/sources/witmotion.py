@@ -39,12 +39,12 @@ from gateway.sources.arrival_counter import ArrivalCounter
 from gateway.sources.makers import (
     LEAST_RATE_SHARE,
     MAGNETIC,
-    Advice,
     CommandLine,
     Description,
     MakersDevice,
     MakersLinkSettings,
     MakersSource,
+    SettingAdvice,
     cannot_blink,
     health,
     scaled,
@@ -217,7 +217,7 @@ class WitMotionCommands:
                 ) from error
         return {name: after[name] for name in settings}
 
-    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[Advice]:
+    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[SettingAdvice]:
         """Yield what would be better otherwise. rate_hz: of the poses."""
         command = f"mocap-gateway modules set {module} {{}} --allow-writes"
         content, hz, baud = settings["content"], settings["rate"], settings["baud"]
@@ -225,16 +225,16 @@ class WitMotionCommands:
         if missing:
             wanted = ",".join(name for name in _CONTENT if name in {*content, *missing})
             what = " and no ".join(name.replace("_", " ") for name in missing)
-            yield Advice(f"sends no {what}", command.format(f"content={wanted}"))
+            yield SettingAdvice(f"sends no {what}", command.format(f"content={wanted}"))
         if hz < LEAST_RATE_SHARE * rate_hz:
             enough = min((each for each in _RATE_OF if each >= rate_hz), default=max(_RATE_OF))
-            yield Advice(
+            yield SettingAdvice(
                 f"sends {hz:g} samples a second for {rate_hz:g} poses", command.format(f"rate={enough:g}")
             )
         load = hz * self._packet_bits * len(content) / baud
         if load > _COMFORTABLE:
             least = ",".join(name for name in _CONTENT if name in {*_WANTED} & {*content} | {*missing})
-            yield Advice(
+            yield SettingAdvice(
                 f"{len(content)} packets × {hz:g} Hz take {load:.0%} of {baud:,} bit/s: some are never sent",
                 f"{command.format(f'content={least}')}; or a faster line: baud=, then the same in url",
             )

@@ -34,7 +34,6 @@ from gateway.frames import NOT_READ, Clipped, Sample
 from gateway.sources.makers import (
     LEAST_RATE_SHARE,
     MAGNETIC,
-    Advice,
     Announced,
     CommandLine,
     Description,
@@ -42,6 +41,7 @@ from gateway.sources.makers import (
     MakersDevice,
     MakersLinkSettings,
     MakersSource,
+    SettingAdvice,
     StampCounter,
     health,
     identity,
@@ -164,28 +164,28 @@ class Ximu3Commands:
             await _answered(line, key, None)
         return after
 
-    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[Advice]:
+    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[SettingAdvice]:
         """Yield what would be better otherwise. rate_hz: of the poses."""
         divisor = settings.get(_RATE_SETTING)
         command = f"mocap-gateway modules set {module} {{}} --allow-writes"
         if divisor is not None and (not divisor or INERTIAL_HZ / divisor < LEAST_RATE_SHARE * rate_hz):
             sent_hz = INERTIAL_HZ / divisor if divisor else 0
             wanted = max(1, int(INERTIAL_HZ // rate_hz))
-            yield Advice(
+            yield SettingAdvice(
                 f"sends {sent_hz:g} inertial messages a second for {rate_hz:g} poses",
                 command.format(f"{_RATE_SETTING}={wanted}"),
             )
         if settings.get("magnetometer_message_rate_divisor") == 0:
-            yield Advice(
+            yield SettingAdvice(
                 "its magnetometer is off: headings are held by joints alone",
                 command.format("magnetometer_message_rate_divisor=1"),
             )
         if settings.get("binary_mode_enabled") is False:
-            yield Advice(
+            yield SettingAdvice(
                 "sends text, which takes three times the bytes", command.format("binary_mode_enabled=true")
             )
         if settings.get("ahrs_message_rate_divisor"):
-            yield Advice(
+            yield SettingAdvice(
                 "sends orientations of its own, which nothing is made from",
                 command.format("ahrs_message_rate_divisor=0"),
             )

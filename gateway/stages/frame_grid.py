@@ -80,7 +80,7 @@ class Assembly(NamedTuple):
     passed: NDArray[np.void]  # a queue of PASSED
 
 
-class Block(NamedTuple):
+class InstantBlock(NamedTuple):
     """Room for T instants of n modules."""
 
     instants: NDArray[np.void]  # (T,) INSTANT
@@ -92,11 +92,13 @@ class Block(NamedTuple):
     clipped: StatusArray  # (T, n)
 
 
-def new_block(size: int, n: int) -> Block:
+def new_block(size: int, n: int) -> InstantBlock:
     """Return room for so many instants of n modules."""
     force, rate, field = (np.empty((size, n, 3)) for _ in range(3))
     status, clipped = (np.empty((size, n), np.uint8) for _ in range(2))
-    return Block(np.zeros(size, INSTANT), force, rate, field, status, np.empty((size, n), np.int64), clipped)
+    return InstantBlock(
+        np.zeros(size, INSTANT), force, rate, field, status, np.empty((size, n), np.int64), clipped
+    )
 
 
 def new_rings(n: int) -> NDArray[np.void]:
@@ -108,7 +110,7 @@ def new_rings(n: int) -> NDArray[np.void]:
 
 @compiled
 def take(
-    assembly: Assembly, samples: NDArray[np.void], first: int, arrived_ns: int, used: int, block: Block
+    assembly: Assembly, samples: NDArray[np.void], first: int, arrived_ns: int, used: int, block: InstantBlock
 ) -> tuple[int, int, int, int]:
     """Take samples (k,) from ``first`` on, and write the instants that they complete after ``used`` others.
 
@@ -296,7 +298,7 @@ def _bracket(ring: NDArray[np.void], head: int, sensor: int, instant_ns: int) ->
 
 @compiled
 def _interpolate(
-    grid: Any, modules: NDArray[np.void], rings: NDArray[np.void], block: Block, used: int
+    grid: Any, modules: NDArray[np.void], rings: NDArray[np.void], block: InstantBlock, used: int
 ) -> bool:
     """Write all modules at the next instant as the instant ``used`` of the block; return whether a sensor was
     clipped.

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from gateway.contract.balances import Balance
 from gateway.frames import MarkerFrame, SkeletonFrame
-from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
-from gateway.reconstruction.optical.warm_up import warm_up
+from gateway.reconstruction.optical.reconstructor import OpticalReconstructor, warm_up
 from gateway.stages.stage import StageContext
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,6 +27,11 @@ _REMEDIES: dict[int | None, str] = {
     errno.EIO: "the disk reports an error: name another place, and check that disk",
     errno.EDQUOT: "your share of the disk is used up: make room, or name another place",
 }
+
+
+def free_bytes(folder: Path) -> int:
+    """Return the room on the disk that a folder is on, as an ordinary user has it. Raises ``OSError``."""
+    return shutil.disk_usage(folder).free
 
 
 def remedy_of(error: OSError) -> str | None:

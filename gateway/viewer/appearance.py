@@ -56,7 +56,7 @@ def segment_colours(
 
 
 def side_of(segment: str) -> str:
-    """Left, right or trunk, by a segment's name."""
+    """Return left, right or trunk, by a segment's name."""
     side = segment.partition("_")[0]
     return side if side in SIDE_COLOURS else "trunk"
 

@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 import viser
 
-from gateway.calibration.movement_check import MOVEMENTS, Movement, MovementCheck, Seen, Verdict
+from gateway.calibration.movement_check import (
+    MOVEMENTS,
+    Movement,
+    MovementCheck,
+    MovementVerdict,
+    SegmentMovement,
+)
 from gateway.contract.messages import PoseMessage
 from gateway.errors import GatewayError
 from gateway.viewer.step_pictures import step_picture
@@ -33,7 +39,7 @@ class CheckTab(StepTab):
     ) -> None:
         super().__init__(server, tabs, "check", ask)
         self._worn = worn
-        self._found: dict[str, list[Seen]] = {}
+        self._found: dict[str, list[SegmentMovement]] = {}
         """By movement, those done so far."""
         self._watching: MovementCheck | None = None
         self._is_busy = False
@@ -48,7 +54,7 @@ class CheckTab(StepTab):
             seen.segment
             for found in self._found.values()
             for seen in found
-            if seen.verdict != Verdict.FOLLOWS
+            if seen.verdict != MovementVerdict.FOLLOWS
         )
 
     def add(self, pose: PoseMessage) -> None:
@@ -81,7 +87,7 @@ class CheckTab(StepTab):
     def _table_html(self) -> str:
         rows = [
             (
-                GOOD if seen.verdict == Verdict.FOLLOWS else POOR,
+                GOOD if seen.verdict == MovementVerdict.FOLLOWS else POOR,
                 (
                     self._translated(f"move_{name}"),
                     segment_name(self._language, seen.segment),
@@ -139,6 +145,6 @@ class CheckTab(StepTab):
         every = [seen for found in self._found.values() for seen in found]
         if not every:
             return self._translated("check_nothing")
-        good = sum(seen.verdict == Verdict.FOLLOWS for seen in every)
+        good = sum(seen.verdict == MovementVerdict.FOLLOWS for seen in every)
         key = "check_good" if good == len(every) else "check_bad"
         return self._translated(key, good=good, count=len(every))

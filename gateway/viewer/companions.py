@@ -13,7 +13,7 @@ from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.viewer.pose_table import STALE_AFTER_S
 from gateway.viewer.posture import PostureKeeper, skeleton_of
 from gateway.viewer.scene import BodyScene
-from gateway.viewer.stage import Stage
+from gateway.viewer.stage import ViewerStage
 
 _NUMBERED = re.compile(r"(.+)_(\d+)")
 MOST = 8
@@ -24,7 +24,7 @@ _ABOVE_M = 0.3
 class _Companion:
     """One of them."""
 
-    def __init__(self, server: viser.ViserServer, stage: Stage, name: str, body: BodyMessage) -> None:
+    def __init__(self, server: viser.ViserServer, stage: ViewerStage, name: str, body: BodyMessage) -> None:
         skeleton = skeleton_of(body)
         self.body = body
         self._stage = stage
@@ -52,7 +52,7 @@ class Companions:
     Of people with markers it is ``lab_eve`` beside ``lab``.
     """
 
-    def __init__(self, server: viser.ViserServer, stage: Stage) -> None:
+    def __init__(self, server: viser.ViserServer, stage: ViewerStage) -> None:
         self._server, self._stage = server, stage
         self._latest: dict[str, ReceivedPose] = {}
         self._drawn: dict[str, _Companion] = {}

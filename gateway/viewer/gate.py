@@ -68,7 +68,7 @@ class Refused(Exception):
         super().__init__(status)
 
 
-class Request:
+class RequestHead:
     """The head of an HTTP request. Raises ``Refused`` for what is none."""
 
     def __init__(self, head: bytes) -> None:
@@ -144,7 +144,7 @@ class Door:
                 key._replace(session=session) if key.right is Right.WRITE else key for key in self._keys
             ]
 
-    def admit(self, request: Request) -> Right:
+    def admit(self, request: RequestHead) -> Right:
         """Return what may be done. Raises ``Refused`` for a request that may not come in.
 
         ``Refused`` is also raised to set the cookie for a request that shows a token.
@@ -158,7 +158,7 @@ class Door:
             raise Refused("403 Forbidden", "another site may not use this page")
         return right
 
-    def _identify(self, request: Request) -> Right:
+    def _identify(self, request: RequestHead) -> Right:
         if not self._keys:
             raise Refused(
                 "403 Forbidden", "without a token this page is served as localhost and 127.0.0.1 only"
@@ -185,7 +185,7 @@ class Door:
             'WWW-Authenticate: Bearer realm="mocap-gateway"',
         )
 
-    def _welcome(self, request: Request, path: str, session: str) -> Refused:
+    def _welcome(self, request: RequestHead, path: str, session: str) -> Refused:
         return Refused(
             "303 See Other",
             "welcome",
@@ -195,7 +195,7 @@ class Door:
             "Cache-Control: no-store",
         )
 
-    def _cookie_name(self, request: Request) -> str:
+    def _cookie_name(self, request: RequestHead) -> str:
         """Return the cookie's name, which has the port: browsers share cookies between ports of a host."""
         return f"mocap_page_{request.host_port}"
 
@@ -284,7 +284,7 @@ class Gate:
                 head = await reader.readuntil(b"\r\n\r\n")
         except asyncio.LimitOverrunError:
             raise Refused("431 Request Header Fields Too Large", "the request is too long") from None
-        request = Request(head)
+        request = RequestHead(head)
         client = asyncio.current_task()
         assert client is not None
         self._crowd.note_request(client)

@@ -8,9 +8,9 @@ import viser
 from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.errors import GatewayError
 from gateway.recording import SkeletonArrays
-from gateway.viewer.posture import Posture, PostureKeeper
+from gateway.viewer.posture import DrawnPose, PostureKeeper
 from gateway.viewer.replaying import RecordedPoses
-from gateway.viewer.stage import Stage
+from gateway.viewer.stage import ViewerStage
 from gateway.viewer.texts import ENGLISH, translated
 
 COLOUR = (120, 170, 235)
@@ -21,7 +21,7 @@ class Ghost:
     """The bones of a recording, at the instants of the one that it is compared with."""
 
     def __init__(
-        self, server: viser.ViserServer, stage: Stage, arrays: SkeletonArrays, of: SkeletonArrays
+        self, server: viser.ViserServer, stage: ViewerStage, arrays: SkeletonArrays, of: SkeletonArrays
     ) -> None:
         """Add a body beside ``of``, the recording on the page.
 
@@ -61,7 +61,7 @@ class Ghost:
         self._is_wanted.label = translated(language, "compared")
         self._is_apart.label = translated(language, "compared_apart")
 
-    def draw(self, time_s: float, beside: Posture) -> None:
+    def draw(self, time_s: float, beside: DrawnPose) -> None:
         """Show it at a time of the recording on the page, s; hidden where its own recording has nothing.
 
         It stands where ``beside`` does, unless its own place is wanted: two walks that were added up from

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures
 from collections import deque
-from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any
 
 import viser
 
@@ -15,7 +12,6 @@ from devices.link import gateway_time_ns
 from gateway.contract.messages import BodyMessage, MarkersMessage
 from gateway.contract.topics import ANY_GATEWAY
 from gateway.errors import GatewayError
-from gateway.modules.remote import remote_suit
 from gateway.outputs.failover import BrokerUnreachableError
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
@@ -30,21 +26,20 @@ from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import (
     RecentLosses,
     RecordingStatus,
-    clock_of,
     health_line,
     module_rows,
     module_table,
     warnings_of,
 )
-from gateway.viewer.muscle_wires import MuscleWires, muscle_wires
 from gateway.viewer.pace import pictures
+from gateway.viewer.page_requests import PageRequests
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.pose_table import STALE_AFTER_S, PoseView
-from gateway.viewer.posture import PostureKeeper, skeleton_of
+from gateway.viewer.posture import skeleton_of
 from gateway.viewer.replaying import ReplayedTake
-from gateway.viewer.scene import BodyScene
 from gateway.viewer.sensor_tab import SensorTab
-from gateway.viewer.stage import Stage
+from gateway.viewer.shown_body import ShownBody
+from gateway.viewer.stage import ViewerStage
 from gateway.viewer.takes import TakesTab
 from gateway.viewer.trail import Trail
 
@@ -54,11 +49,6 @@ RECORDED_AFTER_S = 10.0
 MOST_UNDRAWN = 256
 """Poses between two pictures that the muscles take."""
 RESETS = ("heading", "full", "mounting", "position")
-REMOUNTING = ("full", "mounting")
-"""Resets that put right how modules sit."""
-COUNTED_DOWN = {"heading": "countdown_heading", "full": "countdown", "mounting": "countdown"}
-"""Resets that want the wearer to stand somehow, who has to get there first; the text shown meanwhile."""
-COUNTDOWN_S = 3
 TEXTS_EVERY = 10
 """Texts and plots are brought up to date with one picture of so many."""
 
@@ -82,7 +72,6 @@ class LiveViewer:
         sends.
         """
         self._muscles_kg = muscles_kg
-        self._wires: MuscleWires | None = None
         self._undrawn: deque[ReceivedPose] = deque(maxlen=MOST_UNDRAWN)
         self._server = server
         self._settings = settings
@@ -98,13 +87,12 @@ class LiveViewer:
         self._was_stale = False
         self._was_red: frozenset[str] = frozenset()
 
-        self._body: BodyMessage | None = None
-        self._scene: BodyScene | None = None
-        self._keeper: PostureKeeper | None = None
+        self._message: BodyMessage | None = None
+        self._body: ShownBody | None = None
+        """None until the gateway has published it."""
         self._worn: frozenset[str] = frozenset()
-        self._requests: set[concurrent.futures.Future[None]] = set()
 
-        self._stage = Stage(server)
+        self._stage = ViewerStage(server)
         self._markers = LiveMarkers(server, self._stage)
         self._trail = Trail(server, self._stage)
         self._companions = Companions(server, self._stage)
@@ -116,6 +104,7 @@ class LiveViewer:
 
         self._losses = RecentLosses()
         self._recording = RecordingStatus()
+        self._requests = PageRequests(settings, self._panel, self._recording, lambda: self._gateway)
         self._replayed: ReplayedTake | None = None
         self._assistant: Assistant | None = None
         self._check: CheckTab | None = None
@@ -126,13 +115,15 @@ class LiveViewer:
     def _buttons(self) -> tuple[ButtonRow, ...]:
         """Return the buttons that ask something of the gateway."""
         return (
-            ButtonRow("recording", ("start", "stop", "mark"), lambda verb: self._ask("recording", verb, {})),
-            ButtonRow("reset", RESETS, lambda kind: self._ask("reset", kind, {})),
+            ButtonRow(
+                "recording", ("start", "stop", "mark"), lambda verb: self._requests.ask("recording", verb, {})
+            ),
+            ButtonRow("reset", RESETS, lambda kind: self._requests.ask("reset", kind, {})),
         )
 
     def _add_assistant(self, server: viser.ViserServer) -> None:
         """Add the tabs that lead from nothing to a recording, in the order of their steps."""
-        tabs, ask = self._panel.tabs, self._answer_of
+        tabs, ask = self._panel.tabs, self._requests.answer_of
         self._assistant = Assistant(server, tabs, ask, self._mark)
         sensors, body = SensorTab(server, tabs, ask), BodySteps(server, tabs, ask)
         self._check = CheckTab(server, tabs, ask, lambda: self._worn)
@@ -205,40 +196,35 @@ class LiveViewer:
             running = [name for name, state in poses.states.items() if state == "online"]
             self._gateway = min(running, default=ANY_GATEWAY)
 
-    def _take_body(self, body: BodyMessage | None) -> None:
+    def _take_body(self, message: BodyMessage | None) -> None:
         """Build the body anew if the gateway publishes another one."""
-        if body is None or body == self._body:
+        if message is None or message == self._message:
             return
-        if self._scene is not None:
-            self._scene.remove()
-        skeleton = skeleton_of(body)
-        self._body, self._drawn = body, None
-        self._panel.parents = {each.name: each.parent for each in body.segments if each.parent is not None}
+        if self._body is not None:
+            self._body.remove()
         clicked = None if self._assistant is None else self._assistant.choose_segment
-        self._scene = BodyScene(self._server, self._stage, skeleton, clicked)
-        self._keeper = PostureKeeper(skeleton)
-        self._scene.draw(self._keeper.before_any(), is_stale=True)
+        self._body = body = ShownBody(self._server, self._stage, skeleton_of(message), clicked)
+        self._message, self._drawn = message, None
+        body.draw_before_any()
+        self._panel.parents = {each.name: each.parent for each in message.segments if each.parent is not None}
         if self._body_steps is not None:
             self._body_steps.look()
-        if self._wires is not None:
-            self._wires.remove()
         # A body without muscles of its own still is worth showing: the page says why they are missing.
         try:
-            self._wires = muscle_wires(self._server, self._stage, skeleton, self._muscles_kg)
-            self._label_muscles(self._panel.language)
-        except GatewayError as error:  # the page shows the body nonetheless
-            self._wires = None
+            body.show_muscles(self._muscles_kg, self._panel.language)
+        except GatewayError as error:
             self._panel.show_answer(str(error))
 
     def _label_muscles(self, language: str) -> None:
-        if self._wires is not None:
-            self._wires.set_language(language)
+        if self._body is not None:
+            self._body.set_language(language)
 
     def _draw(self, markers: MarkersMessage | None) -> None:
         if self._replayed is not None:
             self._draw_replayed(self._replayed)
             return
-        if self._latest is None or self._scene is None or self._keeper is None:
+        body = self._body
+        if self._latest is None or body is None:
             return
         latest, instant = self._markers.pose_of(markers, self._latest)
         is_stale = self._is_stale()
@@ -248,16 +234,12 @@ class LiveViewer:
             return
         self._drawn, self._was_stale, self._was_red = latest, is_stale, red
 
-        if self._wires is not None:
-            self._add_undrawn(self._wires, self._keeper, latest)
-        posture = self._keeper.take(latest.pose)
-        if self._panel.follow.value:
-            self._stage.follow(posture.place, latest.pose.t_ns * 1e-9)
-        self._stage.face(posture.q_wb[0])
-        self._scene.draw(posture, is_stale, self._silent(), red)
-        self._trail.draw(self._panel.trail.value, latest.pose.t_ns * 1e-9, posture.place)
-        if self._wires is not None:
-            self._wires.draw(latest.pose.t_ns * 1e-9, posture)
+        time_s = latest.pose.t_ns * 1e-9
+        posture = body.take(latest.pose, self._undrawn)
+        body.bring_into_view(self._panel, posture, time_s)
+        body.scene.draw(posture, is_stale, self._silent(), red)
+        self._trail.draw(self._panel.trail.value, time_s, posture.place)
+        body.draw_muscles(posture, time_s)
         self._markers.draw(instant)
         self._instant = instant
         if instant is not None:
@@ -269,39 +251,24 @@ class LiveViewer:
 
     def _replay(self, arrays: SkeletonArrays | None, name: str) -> None:
         """Play a recording in place of what comes; None: what comes again. Raises ``GatewayError``."""
-        shown = None if self._body is None else skeleton_of(self._body)
+        shown = None if self._body is None else self._body.skeleton
         self._replayed = None if arrays is None else ReplayedTake(arrays, name, shown, self._panel.language)
         self._drawn = None
 
     def _draw_replayed(self, take: ReplayedTake) -> None:
-        if self._scene is None or self._keeper is None:
+        if self._body is None:
             return
         now_s = self._loop.time()
         pose = take.at(now_s)
-        posture = self._keeper.take(pose)
-        if self._panel.follow.value:
-            self._stage.follow(posture.place, now_s)
-        self._stage.face(posture.q_wb[0])
-        self._scene.draw(posture, is_stale=False)
-        # Muscles are computed from accelerations: every pose counts for them, also one that is not drawn.
+        posture = self._body.take(pose)
+        self._body.bring_into_view(self._panel, posture, now_s)
+        self._body.scene.draw(posture, is_stale=False)
         self._panel.add_pose(pose)
-
-    def _add_undrawn(self, wires: MuscleWires, keeper: PostureKeeper, latest: ReceivedPose) -> None:
-        """Add poses that came between two pictures, up to the one that is drawn: muscles need all of them."""
-        while self._undrawn and self._undrawn[0].pose.t_ns <= latest.pose.t_ns:
-            pose = self._undrawn.popleft().pose
-            if pose is not latest.pose:
-                posture = keeper.take(pose)
-                wires.add(pose.t_ns * 1e-9, posture.q_wb, posture.place)
 
     def _take_choices(self) -> None:
         self._stage.show_dark(not self._panel.light.value)
-        if self._scene is None:
-            return
-        self._scene.show_axes(self._panel.axes.value)
-        self._scene.show_bones(self._panel.bones.value or self._wires is not None)
-        self._scene.shows_names = self._panel.names.value
-        self._scene.language = self._panel.language
+        if self._body is not None:
+            self._body.take_choices(self._panel)
 
     def _show_texts(self, poses: PoseSubscriber) -> None:
         health = poses.healths.get(self._gateway)
@@ -399,56 +366,9 @@ class LiveViewer:
         age = self._view.age_s(gateway_time_ns())
         return age is not None and age > STALE_AFTER_S
 
-    def _ask(self, family: str, verb: str, data: Mapping[str, Any]) -> None:
-        """Start a request in the event loop; called in a thread of the page's server."""
-        request = asyncio.run_coroutine_threadsafe(self._request(family, verb, data), self._loop)
-        # The loop keeps only weak references to tasks: without this one it might be collected while it runs.
-        self._requests.add(request)
-        request.add_done_callback(self._requests.discard)
-
-    async def _answer_of(self, family: str, verb: str, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the gateway's answer. Raises ``GatewayError``."""
-        async with remote_suit(self._settings, self._gateway, family) as remote:
-            answer = await remote.perform(verb, data)
-        if family == "recording" and "state" in answer:
-            self._recording.take(answer, gateway_time_ns())
-        return answer
-
     def _mark(self, segment: str) -> None:
-        if self._scene is not None:
-            self._scene.marked = segment
-
-    async def _request(self, family: str, verb: str, data: Mapping[str, Any]) -> None:
-        translated, show = self._panel.translated, self._panel.show_answer
-        action = f"{translated(f'{family}_row')}, {translated(f'{family}_{verb}')}"
-        if family == "reset" and verb in COUNTED_DOWN:
-            for left_s in range(COUNTDOWN_S, 0, -1):
-                show(translated(COUNTED_DOWN[verb], action=action, left=left_s))
-                await asyncio.sleep(1.0)
-        show(translated("is_asked", action=action))
-        try:
-            answer = await self._answer_of(family, verb, data)
-        except GatewayError as error:
-            show(translated("went_wrong", action=action, error=error))
-            return
-        show(translated("is_done", action=action, details=self._answer_text(family, verb, answer)))
-
-    def _answer_text(self, family: str, verb: str, answer: Mapping[str, Any]) -> str:
-        """Return what a request has brought about, in short."""
-        if family == "recording":
-            file = str(answer.get("file", "")).rpartition("/")[2]
-            clock = clock_of(answer.get("seconds"))
-            return self._panel.translated(
-                "answer_recording", file=file, clock=clock, marks=answer.get("marks", 0)
-            )
-        text = ""
-        if turned := answer.get("turned_deg"):
-            text += self._panel.translated("answer_turned", turned=f"{turned:g}")
-        if moved := answer.get("moved_m"):
-            text += self._panel.translated("answer_moved", moved=f"{moved:g}")
-        if verb in REMOUNTING:
-            text += self._panel.translated("answer_remounted", count=len(answer.get("remounted_deg", ())))
-        return text
+        if self._body is not None:
+            self._body.scene.marked = segment
 
 
 def _instant(received: ReceivedPose | None) -> str:

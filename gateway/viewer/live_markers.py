@@ -10,7 +10,7 @@ import viser
 from gateway.contract.messages import MarkersMessage
 from gateway.outputs.subscriber import ReceivedPose
 from gateway.viewer.marker_points import NO_MARKERS, MarkerInstant, MarkerScene, instant_of
-from gateway.viewer.stage import Stage
+from gateway.viewer.stage import ViewerStage
 from gateway.viewer.texts import ENGLISH
 
 _KEPT_POSES = 128
@@ -22,7 +22,7 @@ _UNSEEN = (float("nan"),) * 3
 class LiveMarkers:
     """Fewer messages of markers come than poses: the pose of the newest one is drawn, not the newest pose."""
 
-    def __init__(self, server: viser.ViserServer, stage: Stage) -> None:
+    def __init__(self, server: viser.ViserServer, stage: ViewerStage) -> None:
         self._server = server
         self._stage = stage
         self._scene: MarkerScene | None = None

@@ -17,7 +17,7 @@ from gateway.recording import Recording, SkeletonArrays
 from gateway.recording.arrays import MarkerArrays
 from gateway.sources.markers import MarkerFrames
 from gateway.viewer.appearance import Colour, chips
-from gateway.viewer.stage import Stage
+from gateway.viewer.stage import ViewerStage
 from gateway.viewer.texts import ENGLISH, translated
 
 NEAR_M, FAR_M = 0.005, 0.03
@@ -158,7 +158,7 @@ def marker_colours(instant: MarkerInstant) -> NDArray[np.uint8]:
 class MarkerScene:
     """Points where markers were, and from each a line to where the body has it."""
 
-    def __init__(self, server: viser.ViserServer, stage: Stage, language: str = ENGLISH) -> None:
+    def __init__(self, server: viser.ViserServer, stage: ViewerStage, language: str = ENGLISH) -> None:
         self._server = server
         self._stage = stage
         self._is_wanted = server.gui.add_checkbox(translated(language, "markers"), True)

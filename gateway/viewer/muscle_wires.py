@@ -16,8 +16,8 @@ from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.viewer.appearance import chips
-from gateway.viewer.posture import Posture
-from gateway.viewer.stage import Stage
+from gateway.viewer.posture import DrawnPose
+from gateway.viewer.stage import ViewerStage
 from gateway.viewer.step_tab import line
 from gateway.viewer.texts import ENGLISH, translated
 
@@ -35,7 +35,9 @@ _GAMMA = 2.2
 class MuscleWires:
     """The muscles of one body."""
 
-    def __init__(self, server: viser.ViserServer, stage: Stage, skeleton: Skeleton, body_kg: float) -> None:
+    def __init__(
+        self, server: viser.ViserServer, stage: ViewerStage, skeleton: Skeleton, body_kg: float
+    ) -> None:
         """Show a body's muscles. Raises ``GatewayError`` if it has none, or without the extra ``biomech``."""
         require_biomech()
         self._server, self._stage = server, stage
@@ -67,7 +69,7 @@ class MuscleWires:
         if np.isfinite(q_wb).all() and np.isfinite(root).all():
             self._muscles.add(time_s, q_wb, root)
 
-    def draw(self, time_s: float, posture: Posture) -> None:
+    def draw(self, time_s: float, posture: DrawnPose) -> None:
         """Draw the wires on a posture, and renew their activities ten times in a second of its time."""
         place = posture.p_w[self._root]
         if posture.is_placed != self._is_placed:
@@ -98,7 +100,7 @@ class MuscleWires:
 
 
 def muscle_wires(
-    server: viser.ViserServer, stage: Stage, skeleton: Skeleton, body_kg: float | None
+    server: viser.ViserServer, stage: ViewerStage, skeleton: Skeleton, body_kg: float | None
 ) -> MuscleWires | None:
     """Return the wires of a body, or None where none are asked for. Raises ``GatewayError`` as they do."""
     return None if body_kg is None else MuscleWires(server, stage, skeleton, body_kg)

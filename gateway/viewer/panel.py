@@ -15,7 +15,7 @@ from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import clock_of
 from gateway.viewer.pose_table import attitude, bend_deg
 from gateway.viewer.series_plot import SeriesPlot
-from gateway.viewer.stage import STYLE, VIEWS, Stage
+from gateway.viewer.stage import STYLE, VIEWS, ViewerStage
 from gateway.viewer.step_tab import rename
 from gateway.viewer.texts import ENGLISH, LANGUAGES, movement_name, segment_name, translated
 
@@ -46,7 +46,7 @@ class _Offer(NamedTuple):
 class Panel:
     """Made once; what is chosen in it is read by what draws."""
 
-    def __init__(self, server: viser.ViserServer, rows: Sequence[ButtonRow], stage: Stage) -> None:
+    def __init__(self, server: viser.ViserServer, rows: Sequence[ButtonRow], stage: ViewerStage) -> None:
         gui = server.gui
         self.language = ENGLISH
         self._listeners: list[Callable[[str], None]] = []
@@ -240,7 +240,7 @@ class Panel:
             f"<span style='font-size:11px'>{name}</span></div>",
         )
 
-    def _look(self, view: str, client: viser.ClientHandle | None, stage: Stage) -> None:
+    def _look(self, view: str, client: viser.ClientHandle | None, stage: ViewerStage) -> None:
         """Apply a view that was chosen, on the page where it was chosen."""
         if view == "follow":
             # the library's property has a setter, which the type checker does not see

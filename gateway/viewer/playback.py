@@ -10,13 +10,12 @@ from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.ghost import Ghost
 from gateway.viewer.marker_points import FittedMarkers, MarkerScene, ReceivedMarkers
 from gateway.viewer.module_table import recorded_rows, recorded_table
-from gateway.viewer.muscle_wires import ENOUGH_S, MuscleWires, muscle_wires
+from gateway.viewer.muscle_wires import ENOUGH_S
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
-from gateway.viewer.posture import PostureKeeper
 from gateway.viewer.replaying import RecordedPoses
-from gateway.viewer.scene import BodyScene
-from gateway.viewer.stage import Stage
+from gateway.viewer.shown_body import ShownBody
+from gateway.viewer.stage import ViewerStage
 from gateway.viewer.texts import ENGLISH, translated
 from gateway.viewer.trail import Trail
 
@@ -51,11 +50,10 @@ class Playback:
         # Segments without a module are predicted throughout: for them silence is no fault.
         measured = (arrays.status == Status.MEASURED).any(axis=0)
         self._worn = {segment for segment, was in zip(arrays.segment_names, measured, strict=True) if was}
-        skeleton = arrays.skeleton
         self._poses = RecordedPoses(arrays)
-        self._stage = Stage(server)
-        self._scene, self._keeper = BodyScene(server, self._stage, skeleton), PostureKeeper(skeleton)
-        self._wires = muscle_wires(server, self._stage, skeleton, muscles_kg)
+        self._stage = ViewerStage(server)
+        self._body = ShownBody(server, self._stage, arrays.skeleton)
+        self._body.show_muscles(muscles_kg, ENGLISH)
 
         self._panel = Panel(
             server, (ButtonRow("playback", ("play", "pause", "begin"), self._press),), self._stage
@@ -78,7 +76,7 @@ class Playback:
         rows = recorded_rows(self._arrays.segment_names, self._arrays.status, language)
         self._panel.show_modules(recorded_table(rows, language))
         self._speed.label, self._line.label = translated(language, "speed"), translated(language, "time")
-        for each in (self._ghost, self._marker_scene, self._wires):
+        for each in (self._ghost, self._marker_scene, self._body):
             if each is not None:
                 each.set_language(language)
         self._drawn = -1
@@ -115,22 +113,19 @@ class Playback:
         before, self._drawn = self._drawn, index
 
         pose = self._poses.pose(index)
-        posture = self._keeper.take(pose)
+        time_s, posture = self._times_s[index], self._body.take(pose)
         silent = silent_segments(pose.status, self._worn)
-        if self._panel.follow.value:
-            self._stage.follow(posture.place, self._times_s[index])
-        self._stage.face(posture.q_wb[0])
-        self._scene.draw(posture, is_stale=False, silent=silent)
-        self._trail.draw(self._panel.trail.value, self._times_s[index], posture.place)
+        self._body.bring_into_view(self._panel, posture, time_s)
+        self._body.scene.draw(posture, is_stale=False, silent=silent)
+        self._trail.draw(self._panel.trail.value, time_s, posture.place)
         if self._ghost is not None:
-            self._ghost.draw(self._times_s[index], posture)
-        if self._wires is not None:
-            self._add_undrawn(self._wires, before, index)
-            self._wires.draw(self._times_s[index], posture)
+            self._ghost.draw(time_s, posture)
+        self._add_undrawn(before, index)
+        self._body.draw_muscles(posture, time_s)
 
         self._panel.add_pose(pose)
         language = self._panel.language
-        seconds = f"{self._times_s[index]:.2f}"
+        seconds = f"{time_s:.2f}"
         where = translated(language, "frame_of", seconds=seconds, number=index + 1, count=len(self._times_s))
         lines = [where, status_summary(pose.status, silent, language)]
         if self._markers is not None and self._marker_scene is not None:
@@ -141,19 +136,16 @@ class Playback:
         self._panel.draw_plot()
         self._panel.show_status(self._name, *lines, is_alarm=False)
 
-    def _add_undrawn(self, wires: MuscleWires, before: int, index: int) -> None:
+    def _add_undrawn(self, before: int, index: int) -> None:
         """Add poses that fell between two pictures: muscles need all of them."""
         for i in range(before + 1, index):
             # After a jump in time the poses between are no motion.
             if self._times_s[index] - self._times_s[i] <= ENOUGH_S:
-                wires.add(self._times_s[i], self._arrays.q_wb[i], self._arrays.p_w[i, 0])
+                self._body.add_to_muscles(self._times_s[i], self._arrays.q_wb[i], self._arrays.p_w[i, 0])
 
     def _take_choices(self) -> None:
         self._stage.show_dark(not self._panel.light.value)
-        self._scene.show_axes(self._panel.axes.value)
-        self._scene.show_bones(self._panel.bones.value or self._wires is not None)
-        self._scene.shows_names = self._panel.names.value
-        self._scene.language = self._panel.language
+        self._body.take_choices(self._panel)
 
     def _press(self, what: str) -> None:
         self._is_playing = what != "pause"

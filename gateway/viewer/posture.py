@@ -14,7 +14,7 @@ from gateway.frames import FloatArray
 
 
 @dataclass(frozen=True)
-class Posture:
+class DrawnPose:
     """A pose as drawn: every array by segment."""
 
     q_wb: FloatArray  # (s, 4)
@@ -82,12 +82,12 @@ class PostureKeeper:
         self._q_wb = np.tile(skeleton.neutral, (skeleton.n_segments, 1))
         self._root = int(np.flatnonzero(skeleton.parents < 0)[0])
 
-    def before_any(self) -> Posture:
+    def before_any(self) -> DrawnPose:
         """Return the neutral posture on the floor, for the time before the first pose."""
         n, p_w = self._skeleton.n_segments, self._positions(None)
-        return Posture(self._q_wb.copy(), p_w, p_w[self._root], False, ("missing",) * n, (None,) * n)
+        return DrawnPose(self._q_wb.copy(), p_w, p_w[self._root], False, ("missing",) * n, (None,) * n)
 
-    def take(self, pose: PoseMessage) -> Posture:
+    def take(self, pose: PoseMessage) -> DrawnPose:
         """Return a pose as it is drawn; segments that the skeleton lacks are left out."""
         names = self._skeleton.segment_names
         for s, name in enumerate(names):
@@ -98,7 +98,7 @@ class PostureKeeper:
         sigma = pose.sigma or {}
         place = (pose.position or {}).get(names[self._root])
         p_w = self._positions(place)
-        return Posture(
+        return DrawnPose(
             q_wb=self._q_wb.copy(),
             p_w=p_w,
             place=p_w[self._root],

@@ -15,8 +15,8 @@ from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.viewer.appearance import COLOURS, FACE, MOST_NAMED, segment_colours, side_of
-from gateway.viewer.posture import Posture
-from gateway.viewer.stage import Stage
+from gateway.viewer.posture import DrawnPose
+from gateway.viewer.stage import ViewerStage
 from gateway.viewer.texts import ENGLISH, segment_name, translated
 
 AXES_LENGTH_M = 0.09
@@ -51,7 +51,7 @@ class BodyScene:
     def __init__(
         self,
         server: viser.ViserServer,
-        stage: Stage,
+        stage: ViewerStage,
         skeleton: Skeleton,
         clicked: Callable[[str], None] | None = None,
         root: str = _BODY,
@@ -111,12 +111,12 @@ class BodyScene:
             self._figure.show(not self.shows_bones)
 
     def show_axes(self, is_wanted: bool) -> None:
-        """Segment axes, or none."""
+        """Show the segments' axes, or hide them."""
         self._axes.visible = is_wanted
 
     def draw(
         self,
-        posture: Posture,
+        posture: DrawnPose,
         is_stale: bool,
         silent: Collection[str] = (),
         red: Collection[str] = (),
@@ -137,7 +137,7 @@ class BodyScene:
                 self._axes.batched_positions = p_w.astype(np.float32)
             self._name_segments(p_w, posture.q_wb, silent)
 
-    def _draw_bones(self, posture: Posture, p_w: FloatArray, of_segments: NDArray[np.uint8]) -> None:
+    def _draw_bones(self, posture: DrawnPose, p_w: FloatArray, of_segments: NDArray[np.uint8]) -> None:
         segment = self._bones.segment
         self._bodies.batched_wxyzs = self._bones.turned(posture.q_wb).astype(np.float32)
         self._bodies.batched_positions = p_w[segment].astype(np.float32)
@@ -255,7 +255,7 @@ class Figure:
         if self._limbs.visible != is_wanted:
             self._limbs.visible = is_wanted
 
-    def draw(self, posture: Posture, p_w: FloatArray, of_segments: NDArray[np.uint8]) -> None:
+    def draw(self, posture: DrawnPose, p_w: FloatArray, of_segments: NDArray[np.uint8]) -> None:
         """Bring it to a posture. p_w: (s, 3) m, as drawn; of_segments: (s, 3) RGB."""
         parts = self._parts
         if self._limbs.visible:
@@ -271,8 +271,8 @@ class Figure:
                 self._limbs.batched_colors = self._colours = colours
         self._draw_shades(posture, p_w)
 
-    def _draw_shades(self, posture: Posture, p_w: FloatArray) -> None:
-        """Smaller as the foot is lifted. The floor is at zero."""
+    def _draw_shades(self, posture: DrawnPose, p_w: FloatArray) -> None:
+        """Draw the shade of each foot on the floor, at zero: smaller as the foot is lifted."""
         soles = self._parts.soles
         ahead = [quaternion.rotate(posture.q_wb[s], np.array([0.06, 0.0, 0.0])) for s in soles]
         below = p_w[soles] + ahead

@@ -39,7 +39,7 @@ _ASIDE_M = 0.4
 """On any other page it stands to the left of the middle, for the panel is on the right."""
 
 
-class Stage:
+class ViewerStage:
     """Made once a page. Cameras stay where their users have put them, on however many pages."""
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -127,7 +127,7 @@ class Stage:
         return np.array([*(far * toward + aside), up]), np.array([*aside, _MIDDLE_M - lower])
 
     def show_dark(self, is_dark: bool) -> None:
-        """Dark or light, on all pages."""
+        """Show all pages in the dark or in the light."""
         if is_dark == self._is_dark:
             return
         self._is_dark = is_dark

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 
 from gateway.frames import FloatArray
-from gateway.viewer.stage import Stage
+from gateway.viewer.stage import ViewerStage
 
 SPAN_S = 10.0
 SPACING_S = 0.2
@@ -20,7 +20,7 @@ COLOUR = (235, 150, 40)
 class Trail:
     """Made once a page. It costs nothing while it is not wanted."""
 
-    def __init__(self, server: viser.ViserServer, stage: Stage) -> None:
+    def __init__(self, server: viser.ViserServer, stage: ViewerStage) -> None:
         self._server, self._stage = server, stage
         self._places: deque[tuple[float, FloatArray]] = deque()
         self._points: viser.PointCloudHandle | None = None

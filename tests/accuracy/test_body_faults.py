@@ -10,9 +10,9 @@ from gateway.emulation.body_faults import (
     MODULE_CASES,
     Case,
     emulated,
+    fault_effect,
     is_finite,
     largest_step_deg,
-    outcome,
     reported_after_s,
     suit_with_position,
 )
@@ -47,9 +47,9 @@ def test_a_module_that_dies_and_comes_back(suit, calm):
     run = emulated(suit, case)
     assert is_finite(run)
     assert reported_after_s(run, VICTIM) < 0.2
-    assert outcome(run, calm, VICTIM).recovery_s < 2.0
-    assert outcome(run, calm, NEIGHBOURS).worst_deg < 1.5
-    assert outcome(run, calm, OTHERS).worst_deg < 0.5
+    assert fault_effect(run, calm, VICTIM).recovery_s < 2.0
+    assert fault_effect(run, calm, NEIGHBOURS).worst_deg < 1.5
+    assert fault_effect(run, calm, OTHERS).worst_deg < 0.5
 
 
 @pytest.mark.parametrize(
@@ -64,15 +64,15 @@ def test_a_gyroscope_that_lies_is_told_and_harms_nobody_else(suit, calm, name, l
     run = emulated(suit, case)
     assert is_finite(run)
     assert reported_after_s(run, VICTIM) < 1.0
-    near = outcome(run, calm, NEIGHBOURS)
+    near = fault_effect(run, calm, NEIGHBOURS)
     assert near.worst_deg < 1.5  # they show the module that comes back its heading, not the reverse
     assert near.recovery_s < 1.0
-    assert outcome(run, calm, OTHERS).worst_deg < 0.5
+    assert fault_effect(run, calm, OTHERS).worst_deg < 0.5
 
 
 def test_a_magnet_turns_nobody(suit, calm):
     case = shorter("magnet of 60 µT passes for 5 s", 3.0, 10.0)
-    assert outcome(emulated(suit, case), calm, EVERYONE).worst_deg < 1.0
+    assert fault_effect(emulated(suit, case), calm, EVERYONE).worst_deg < 1.0
 
 
 def test_a_local_device_that_falls_silent(suit, calm):
@@ -82,4 +82,4 @@ def test_a_local_device_that_falls_silent(suit, calm):
     assert np.isfinite(run.p_w[200:]).all()
     assert reported_after_s(run, EVERYONE) == pytest.approx(0.5, abs=0.2)
     assert largest_step_deg(run, case.ends_s, case.ends_s + 4.0) < 0.5
-    assert outcome(run, calm, EVERYONE).worst_deg < 1.0
+    assert fault_effect(run, calm, EVERYONE).worst_deg < 1.0

@@ -22,7 +22,7 @@ from gateway.emulation.fast_arm import (
     sampled,
 )
 from gateway.emulation.optical_reference import in_time
-from gateway.emulation.recordings import SMOOTHED, Part, orientations, score, solved, totals
+from gateway.emulation.recordings import SMOOTHED, Excerpt, orientations, score, solved, totals
 from gateway.emulation.recordings import imu_frames as recorded_frames
 from gateway.emulation.rig import dress
 from gateway.emulation.simulation import errors_deg
@@ -227,9 +227,9 @@ def test_a_real_chain_is_better_than_vqf_once_it_has_moved(kind, ratio):
 @pytest.mark.parametrize(
     ("kind", "part", "ratio"),
     [
-        ("rigid", Part("mid-motion", 0.5), 0.5),
-        ("nonrigid", Part("mid-motion", 0.5), 1.3),
-        ("rigid", Part("shaken", 0.2, shakes=1.5), 1.2),
+        ("rigid", Excerpt("mid-motion", 0.5), 0.5),
+        ("nonrigid", Excerpt("mid-motion", 0.5), 1.3),
+        ("rigid", Excerpt("shaken", 0.2, shakes=1.5), 1.2),
     ],
 )
 def test_a_start_in_mid_motion_and_vibration_are_borne(kind, part, ratio):

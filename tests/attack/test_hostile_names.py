@@ -74,7 +74,7 @@ async def test_hostile_retained_bodies_do_not_end_the_page(mosquitto, until):
             await client.publish("mocap/lab/body", body, qos=1, retain=True)
             await until(lambda number=number: poses.undecodable == number + 1 or showing.done())
         await client.publish("mocap/lab/body", good.payload(), qos=1, retain=True)
-        await until(lambda: viewer._body == good or showing.done())
+        await until(lambda: viewer._message == good or showing.done())
         assert not showing.done()
         showing.cancel()
         with contextlib.suppress(asyncio.CancelledError):

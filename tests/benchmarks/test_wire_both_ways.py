@@ -23,7 +23,7 @@ def test_damaged_wire_frames_among_good_ones(mode):
 
 def forgets_a_loss(real):
     def decode(*arguments):
-        decoder = arguments[2]
+        decoder = arguments[1]
         before = decoder["dropped"][0, wire_layout.LOST_FRAGMENT]
         n = real(*arguments)
         if decoder["dropped"][0, wire_layout.LOST_FRAGMENT] > before + 1:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import pytest
 from typer.testing import CliRunner
 
-from devices.conformance import RULES, Finding, Outcome, check_module
+from devices.conformance import RULES, RuleOutcome, RuleResult, check_module
 from devices.conformance.streaming import STREAMING
 from devices.emulators import EmulatedSuit, Imperfections, SuitSettings, SuitTraffic
 from devices.emulators.delivery import Encoding
@@ -28,13 +28,13 @@ from tests.running_suit import running
 pytestmark = [pytest.mark.system, pytest.mark.timeout(200)]
 
 
-async def findings(url: str, *only: str) -> list[Finding]:
+async def findings(url: str, *only: str) -> list[RuleResult]:
     """What came of the rules, settings among them."""
     return [found async for found in check_module(link_from_url(url), allow_writes=True, only=only)]
 
 
-def broken(found: list[Finding]) -> dict[str, str]:
-    return {each.rule: each.detail for each in found if each.outcome is Outcome.BROKEN}
+def broken(found: list[RuleResult]) -> dict[str, str]:
+    return {each.rule: each.detail for each in found if each.outcome is RuleOutcome.BROKEN}
 
 
 async def test_the_reference_keeps_every_rule(module, board, figure):
@@ -46,7 +46,7 @@ async def test_the_reference_keeps_every_rule(module, board, figure):
         if again := broken(list(found.values())):
             found |= {each.rule: each for each in await findings(machine.url, *again)}
     assert not broken(list(found.values()))
-    assert [each.outcome for each in found.values()] == [Outcome.KEPT] * len(RULES)
+    assert [each.outcome for each in found.values()] == [RuleOutcome.KEPT] * len(RULES)
     machine.cut_power()
     assert machine.memory.settings == before
     figure(
@@ -67,10 +67,10 @@ async def test_the_emulator_keeps_every_rule(tmp_path, framing, figure):
         await asyncio.sleep(0.2)
         found = await findings(url)
     assert not broken(found)
-    assert {each.rule for each in found if each.outcome is Outcome.SKIPPED} == (
+    assert {each.rule for each in found if each.outcome is RuleOutcome.SKIPPED} == (
         {"damaged_command", "noise"} if is_can else set()
     )
-    n_kept = sum(each.outcome is Outcome.KEPT for each in found)
+    n_kept = sum(each.outcome is RuleOutcome.KEPT for each in found)
     n_skipped = len(found) - n_kept
     figure(
         f"Rules of `modules test` kept by the emulator, {framing.replace('_', ' ')}",

@@ -11,7 +11,7 @@ import pytest
 from devices.commands.card import Card, download
 from devices.commands.command_client import CommandClient
 from devices.commands.configure import Configurator
-from devices.conformance import Outcome, check_module
+from devices.conformance import RuleOutcome, check_module
 from devices.conformance.bench import Bench, steps
 from devices.endpoints import link_from_url
 from firmware_protocol import RELAY as RELAY_ID
@@ -64,7 +64,7 @@ async def test_samples_of_all_modules_come_in_batches(relay):
 async def test_a_module_behind_the_relay_keeps_the_rules(relay):
     link = link_from_url(relay.url)
     found = [each async for each in check_module(link, "02020202", allow_writes=True, only=RULES)]
-    assert {each.rule: each.detail for each in found if each.outcome is not Outcome.KEPT} == {}
+    assert {each.rule: each.detail for each in found if each.outcome is not RuleOutcome.KEPT} == {}
 
 
 async def test_the_relay_obeys_and_its_id_is_fixed(relay):

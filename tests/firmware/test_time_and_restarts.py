@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from devices.conformance import Outcome, check_module
+from devices.conformance import RuleOutcome, check_module
 from devices.conformance.bench import Bench
 from devices.emulators.device.firmware_memory import FirmwareMemory
 from devices.endpoints import link_from_url
@@ -39,7 +39,7 @@ async def test_the_counter_goes_through_its_wrap(module, board):
     machine = module(board, first_count_us=WRAP - 9_000_000)
     rules = ("health", "stamps_rise", "counter_in_microseconds", "even_sampling", "time_reported_truly")
     found = [each async for each in check_module(link_from_url(machine.url), only=rules)]
-    assert {each.rule: each.detail for each in found if each.outcome is not Outcome.KEPT} == {}
+    assert {each.rule: each.detail for each in found if each.outcome is not RuleOutcome.KEPT} == {}
     bench = Bench(link_from_url(machine.url))
     async with bench.reading():
         assert await bench.until(lambda: bool(bench.of(InertialSample)), PATIENCE_S)

@@ -26,11 +26,11 @@ from firmware_protocol.can_transfer import (
     MAX_TRANSFERS,
     FlowControl,
     FlowStatus,
-    Outcome,
     TransferParams,
     TransferPiece,
     TransferReceiver,
     TransferSender,
+    TransferState,
     flow_control_of,
     flow_control_piece,
 )
@@ -89,7 +89,7 @@ def carry(
             back.send(answer, now)
         for answer in back.arrived(now):
             sender.receive(answer, now)
-        idle += sender.outcome is not Outcome.SENDING
+        idle += sender.state is not TransferState.SENDING
         now += MS
     return frames
 
@@ -124,7 +124,7 @@ def test_a_transfer_by_hand():
     ((_, answer),) = receiver.due(7 * MS)
     assert answer == TransferToModule(3, 5, 5, bytes([3, 0, 0, 0]))
     sender.receive(answer, 8 * MS)
-    assert sender.outcome is Outcome.DONE
+    assert sender.state is TransferState.DONE
     assert (sender.next_time_ns, receiver.next_time_ns) == (None, None)
 
 
@@ -134,7 +134,7 @@ def test_wire_frames_of_every_size_arrive_whole(size: int, block_size: int):
     params = TransferParams(block_size=block_size)
     sender = TransferSender(long_frame(size), 1, 0, TransferToHost, params)
     assert carry(sender, TransferReceiver(params=params), Channel(), Channel()) == [long_frame(size)]
-    assert sender.outcome is Outcome.DONE
+    assert sender.state is TransferState.DONE
 
 
 @pytest.mark.parametrize("lost", range(14))
@@ -147,7 +147,7 @@ def test_any_one_piece_may_be_lost_or_repeated(lost: int, copies: int):
         params = TransferParams(block_size=4)
         sender = TransferSender(FRAME, 1, 0, TransferToHost, params)
         assert carry(sender, TransferReceiver(params=params), there, back) == [FRAME]
-        assert sender.outcome is Outcome.DONE
+        assert sender.state is TransferState.DONE
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -168,7 +168,7 @@ def test_through_loss_repetition_and_disorder_of_both_ways(seed: int):
         frame = long_frame(rng.randrange(MAX_BODY_SIZE), sequence=transfer)
         sender = TransferSender(frame, transfer, transfer * 10**12, TransferToHost, params)
         assert carry(sender, receiver, *channels, start_ns=transfer * 10**12) == [frame]
-        assert sender.outcome is Outcome.DONE
+        assert sender.state is TransferState.DONE
     assert receiver.accepted == 3
     assert not receiver.dropped
 
@@ -181,7 +181,7 @@ def test_a_poor_line_delivers_the_wire_frame_or_nothing(seed: int):
     sender, receiver = TransferSender(FRAME, 1, 0, TransferToHost, params), TransferReceiver(params=params)
     frames = carry(sender, receiver, *channels)
     assert frames in ([], [FRAME])
-    if sender.outcome is Outcome.DONE:
+    if sender.state is TransferState.DONE:
         assert frames == [FRAME]
 
 
@@ -190,7 +190,7 @@ def test_a_silent_receiver_is_given_up_after_the_stated_time():
     sender = TransferSender(FRAME, 1, 0, TransferToHost, params)
     times = [now for now in range(0, 1000 * MS, 10 * MS) if sender.due(now)]
     assert times == [0, 100 * MS, 200 * MS, 300 * MS]
-    assert sender.outcome is Outcome.TIMED_OUT
+    assert sender.state is TransferState.TIMED_OUT
     assert sender.next_time_ns is None
 
 
@@ -213,7 +213,7 @@ def test_a_busy_receiver_makes_the_sender_wait_and_no_longer():
         receiver.is_busy = now_ns < 3000 * MS
 
     assert carry(sender, receiver, Channel(), Channel(), until=free_after_three_seconds) == [FRAME]
-    assert sender.outcome is Outcome.DONE
+    assert sender.state is TransferState.DONE
 
 
 def test_busy_in_the_middle_of_a_transfer():
@@ -230,7 +230,7 @@ def test_a_sender_does_not_wait_for_ever():
     receiver = TransferReceiver(is_busy=True)
     sender = TransferSender(FRAME, 1, 0, TransferToHost, TransferParams(max_waits=10))
     assert carry(sender, receiver, Channel(), Channel()) == []
-    assert sender.outcome is Outcome.TIMED_OUT
+    assert sender.state is TransferState.TIMED_OUT
 
 
 @pytest.mark.parametrize("total", [0, 12, MAX_FRAME_SIZE + 1, 65535])
@@ -248,7 +248,7 @@ def test_overflow_ends_the_sender():
     sender = TransferSender(FRAME, 9, 0, TransferToHost)
     sender.due(0)
     sender.receive(flow_control_piece(TransferToModule, 9, FlowControl(0, FlowStatus.OVERFLOW)), 0)
-    assert sender.outcome is Outcome.REFUSED
+    assert sender.state is TransferState.REFUSED
     assert sender.due(10**12) == []
 
 
@@ -261,7 +261,7 @@ def test_a_wrong_checksum_is_refused_and_nothing_is_handed_out():
         replace(piece, data=bytes(100)) if piece.piece == 2 and piece.number == 4 else piece, now
     )
     assert carry(sender, receiver, spoilt, Channel()) == []
-    assert sender.outcome is Outcome.REFUSED
+    assert sender.state is TransferState.REFUSED
     assert receiver.dropped == {Defect.BAD_CRC: 1}
 
 
@@ -278,7 +278,7 @@ def test_many_senders_interleaved():
         for module, answer in receiver.due(now):
             senders[module].receive(answer, now)
     assert received == frames
-    assert {sender.outcome for sender in senders.values()} == {Outcome.DONE}
+    assert {sender.state for sender in senders.values()} == {TransferState.DONE}
 
 
 def test_a_new_transfer_ends_the_one_before():

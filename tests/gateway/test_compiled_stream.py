@@ -36,7 +36,7 @@ from firmware_protocol.golden import VECTORS
 from firmware_protocol.signing import SignedFrames
 from gateway.clocks import ClockTable, TriggerAnswers
 from gateway.clocks.module_clock import MOST_PACKETS
-from gateway.emulation.both_ways import BothWays, Difference
+from gateway.emulation.both_ways import BothWays, BothWaysDiffer
 from gateway.sources import compiled_decoding
 from gateway.sources import suit as readable_way
 from gateway.sources.clock_mode import ClockMode
@@ -332,7 +332,7 @@ def loses_an_entry(real, *arguments):
 def changes_the_last_bit(real, *arguments):
     at, n_samples, n_events = real(*arguments)
     if n_samples:
-        samples = arguments[7]["measured"]
+        samples = arguments[6]["measured"]
         samples[n_samples - 1, 0, 2] = np.nextafter(samples[n_samples - 1, 0, 2], 0.0)
     return at, n_samples, n_events
 
@@ -353,7 +353,7 @@ def is_late(real, record, packet, sequence, time_ns):
 def test_a_way_that_is_wrong_is_found(where, name, altered, monkeypatch):
     broken(monkeypatch, where, name, altered)
     both = both_ways()
-    with pytest.raises(Difference, match="readings"):
+    with pytest.raises(BothWaysDiffer, match="readings"):
         receive_some(both)
 
 
@@ -367,5 +367,5 @@ def test_counts_that_differ_are_found():
     both.receive(plain_chunk(0))
     both.compare_accounts()
     both.readable.modules[0].sequences[InertialSample.KIND].duplicates += 1
-    with pytest.raises(Difference, match="balances"):
+    with pytest.raises(BothWaysDiffer, match="balances"):
         both.compare_accounts()

@@ -16,7 +16,7 @@ import pytest
 
 from devices.commands.command_client import CommandClient
 from devices.commands.configure import Configurator
-from devices.conformance import Outcome, check_module
+from devices.conformance import RuleOutcome, check_module
 from devices.conformance.bench import Bench
 from devices.emulators.device.firmware_memory import FirmwareMemory
 from devices.endpoints import link_from_url
@@ -70,7 +70,7 @@ async def listened(seconds: float = 0.0) -> Bench:
 async def test_the_rules_are_kept_on_a_bus_of_several(tmp_path):
     with modules_on_bus(tmp_path, [1, 2, 3]):
         found = [each async for each in check_module(link_from_url(BUS), "02020202", allow_writes=True)]
-    told = {each.rule: each.detail for each in found if each.outcome is Outcome.BROKEN}
+    told = {each.rule: each.detail for each in found if each.outcome is RuleOutcome.BROKEN}
     # A machine that is emulated without help of the hardware is too slow for evenness.
     assert not told.keys() - {"even_sampling", "sequence_of_samples", "acts_by_settings"}, told
 

@@ -84,7 +84,7 @@ class IdleDevice:
         """Act by the active settings, which have changed."""
 
 
-class Outcome(NamedTuple):
+class CommandReply(NamedTuple):
     """What became of a command."""
 
     result: Result = Result.DONE
@@ -125,95 +125,97 @@ class CommandResponder:
         )
         return (acknowledgement, *outcome.follows)
 
-    def _act(self, command: Command) -> Outcome:
+    def _act(self, command: Command) -> CommandReply:
         declared = VERBS.get(command.verb)
         if declared is None:
-            return Outcome(Result.UNKNOWN_VERB)
+            return CommandReply(Result.UNKNOWN_VERB)
         if declared.verb in _CARD_VERBS and self._device.card is None:
-            return Outcome(Result.NOT_SUPPORTED)
+            return CommandReply(Result.NOT_SUPPORTED)
         arguments = decode_arguments(command.verb, command.arguments)
         if arguments is None:
-            return Outcome(Result.BAD_ARGUMENTS)
+            return CommandReply(Result.BAD_ARGUMENTS)
         # Arguments are looked at first: a locked device still says that they are wrong.
         if declared.changes_device and self._device.is_locked:
-            return Outcome(Result.REFUSED)
+            return CommandReply(Result.REFUSED)
         return _ACTIONS[declared.verb](self, *arguments)
 
-    def _hello(self, lowest: int, highest: int) -> Outcome:
+    def _hello(self, lowest: int, highest: int) -> CommandReply:
         chosen = negotiate((lowest, highest), SUPPORTED)
-        return Outcome(payload=(NO_VERSION if chosen is None else chosen, *SUPPORTED))
+        return CommandReply(payload=(NO_VERSION if chosen is None else chosen, *SUPPORTED))
 
-    def _identify(self, seconds: int) -> Outcome:
+    def _identify(self, seconds: int) -> CommandReply:
         self._device.blink(seconds)
-        return Outcome()
+        return CommandReply()
 
-    def _introduce(self) -> Outcome:
-        return Outcome(follows=self._device.introduction())
+    def _introduce(self) -> CommandReply:
+        return CommandReply(follows=self._device.introduction())
 
-    def _start(self) -> Outcome:
+    def _start(self) -> CommandReply:
         self._device.start()
-        return Outcome()
+        return CommandReply()
 
-    def _stop(self) -> Outcome:
+    def _stop(self) -> CommandReply:
         self._device.stop()
-        return Outcome()
+        return CommandReply()
 
-    def _read_setting(self, key: int) -> Outcome:
+    def _read_setting(self, key: int) -> CommandReply:
         if key not in SETTINGS:
-            return Outcome(Result.NO_SUCH_SETTING)
-        return Outcome(payload=(key, encode_value(key, self._device.settings.value(key))))
+            return CommandReply(Result.NO_SUCH_SETTING)
+        return CommandReply(payload=(key, encode_value(key, self._device.settings.value(key))))
 
-    def _write_setting(self, key: int, data: bytes) -> Outcome:
+    def _write_setting(self, key: int, data: bytes) -> CommandReply:
         if key not in SETTINGS:
-            return Outcome(Result.NO_SUCH_SETTING)
+            return CommandReply(Result.NO_SUCH_SETTING)
         if key in self._device.fixed_settings:
-            return Outcome(Result.NOT_SUPPORTED)
+            return CommandReply(Result.NOT_SUPPORTED)
         value = decode_value(key, data)
         if value is None:
-            return Outcome(Result.BAD_ARGUMENTS)
+            return CommandReply(Result.BAD_ARGUMENTS)
         self._device.settings.stage(key, value)
-        return Outcome(payload=(key, encode_value(key, value)))
+        return CommandReply(payload=(key, encode_value(key, value)))
 
-    def _commit(self) -> Outcome:
+    def _commit(self) -> CommandReply:
         if not self._device.settings.staged:
-            return Outcome(Result.NOTHING_STAGED)
+            return CommandReply(Result.NOTHING_STAGED)
         generation = self._device.settings.commit()
         if generation is None:
-            return Outcome(Result.FLASH_FAILED)
+            return CommandReply(Result.FLASH_FAILED)
         self._device.act_by_settings()
-        return Outcome(payload=(generation,), follows=(Event(SETTINGS_COMMITTED),))
+        return CommandReply(payload=(generation,), follows=(Event(SETTINGS_COMMITTED),))
 
-    def _discard(self) -> Outcome:
+    def _discard(self) -> CommandReply:
         self._device.settings.discard()
-        return Outcome()
+        return CommandReply()
 
-    def _factory_reset(self, magic: int) -> Outcome:
+    def _factory_reset(self, magic: int) -> CommandReply:
         if self._device.settings.reset() is None:
-            return Outcome(Result.FLASH_FAILED)
+            return CommandReply(Result.FLASH_FAILED)
         self._device.act_by_settings()
-        return Outcome(follows=(Event(SETTINGS_COMMITTED),))
+        return CommandReply(follows=(Event(SETTINGS_COMMITTED),))
 
-    def _card_list(self, first: int) -> Outcome:
+    def _card_list(self, first: int) -> CommandReply:
         entries = self._card.entries()
         listed = entries[first : first + VERBS[Verb.CARD_LIST].max_entries]
-        return Outcome(payload=(len(entries), listed))
+        return CommandReply(payload=(len(entries), listed))
 
-    def _card_read(self, file: int, offset: int, length: int) -> Outcome:
+    def _card_read(self, file: int, offset: int, length: int) -> CommandReply:
         if file not in self._card:
-            return Outcome(Result.NO_SUCH_FILE)
+            return CommandReply(Result.NO_SUCH_FILE)
         data = self._card.read(file, offset, length)
-        return Outcome(Result.BAD_ARGUMENTS) if data is None else Outcome(payload=(file, offset, data))
+        return (
+            CommandReply(Result.BAD_ARGUMENTS) if data is None else CommandReply(payload=(file, offset, data))
+        )
 
-    def _card_erase(self, file: int) -> Outcome:
+    def _card_erase(self, file: int) -> CommandReply:
         if file not in self._card and file != ALL_FILES:
-            return Outcome(Result.NO_SUCH_FILE)
+            return CommandReply(Result.NO_SUCH_FILE)
         if self._card.recording is not None and file in (self._card.recording, ALL_FILES):
-            return Outcome(Result.BUSY)
+            return CommandReply(Result.BUSY)
         if file == ALL_FILES:
             self._card.erase_all()
         else:
             self._card.erase(file)
-        return Outcome()
+        return CommandReply()
 
     @property
     def _card(self) -> EmulatedCard:
@@ -222,7 +224,7 @@ class CommandResponder:
         return card
 
 
-_ACTIONS: dict[Verb, Callable[..., Outcome]] = {
+_ACTIONS: dict[Verb, Callable[..., CommandReply]] = {
     Verb.HELLO: CommandResponder._hello,
     Verb.IDENTIFY: CommandResponder._identify,
     Verb.GET_INFO: CommandResponder._introduce,

@@ -188,7 +188,7 @@ LANGUAGES: Mapping[str, Language] = {
 
 
 @dataclass
-class Verdict:
+class MakersFindings:
     """What a campaign found."""
 
     n_messages: int = 0
@@ -226,9 +226,9 @@ class _Sent(NamedTuple):
     """Of its damage; None: intact."""
 
 
-def run(language: Language, n_damaged: int, seed: int) -> Verdict:
+def run(language: Language, n_damaged: int, seed: int) -> MakersFindings:
     """Send messages, half of them damaged, until so many were, or a few more."""
-    rng, verdict, decoder = Random(f"makers {seed}"), Verdict(), language.decoder()
+    rng, verdict, decoder = Random(f"makers {seed}"), MakersFindings(), language.decoder()
     known: dict[str, int] = {}
     awaited: dict[str, int] = {}
     before, since_damage = language.message(rng, 0), 0
@@ -282,7 +282,7 @@ def _damaged_on_can(rng: Random, data: bytes, before: bytes) -> _Sent:
     return _Sent([b"".join(PIECE_DAMAGES[place](rng, pieces, others))], _CAN_WAYS[place])
 
 
-def _fed(decoder: _Decoder, pieces: list[bytes], rng: Random | None, verdict: Verdict) -> list[str]:
+def _fed(decoder: _Decoder, pieces: list[bytes], rng: Random | None, verdict: MakersFindings) -> list[str]:
     """Feed pieces, each cut somewhere unless they are datagrams; return what came of them."""
     found: list[str] = []
     for piece in pieces:

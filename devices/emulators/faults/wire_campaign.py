@@ -36,7 +36,7 @@ _SHOWN_FAILURES = 5
 
 
 @dataclass
-class Verdict:
+class WireFindings:
     """What a campaign found."""
 
     n_frames: int = 0
@@ -92,7 +92,7 @@ class _Lane:
         self._sent_before: dict[int, WireFrame] = {}
         self._n_blocks = 0
 
-    def run_block(self, verdict: Verdict) -> None:
+    def run_block(self, verdict: WireFindings) -> None:
         """Send one block through the decoder and judge what comes out."""
         traffic = self._source.block()
         self._tap.frames = []
@@ -106,7 +106,7 @@ class _Lane:
         self._sent_before = traffic.sent
         self._n_blocks += 1
 
-    def _judge(self, traffic: Traffic, packets: list[ReceivedPacket], verdict: Verdict) -> None:
+    def _judge(self, traffic: Traffic, packets: list[ReceivedPacket], verdict: WireFindings) -> None:
         accepted: Counter[int] = Counter()
         for entry in self._tap.frames:
             time_us = entry[3]
@@ -129,16 +129,16 @@ class _Lane:
 def run(
     n_frames: int,
     seed: int,
-    progress: Callable[[Verdict], None] = lambda _: None,
+    progress: Callable[[WireFindings], None] = lambda _: None,
     byte_stream: Callable[[], WireFrameDecoder] = FrameDecoder,
     can: Callable[[], WireFrameDecoder] = CanFrameDecoder,
-) -> Verdict:
+) -> WireFindings:
     """Send ``n_frames`` or a few more, half on a byte stream and half on a CAN bus."""
     lanes = (
         _Lane("byte stream", ByteStream(Random(f"bytes {seed}")), byte_stream()),
         _Lane("CAN", CanBus(Random(f"CAN {seed}")), can()),
     )
-    verdict = Verdict()
+    verdict = WireFindings()
     while verdict.n_frames < n_frames:
         for lane in lanes:
             lane.run_block(verdict)
@@ -161,7 +161,7 @@ def main() -> None:
     step = max(arguments.frames // 20, 2 * BLOCK_SIZE)
     shown = 0
 
-    def show(verdict: Verdict) -> None:
+    def show(verdict: WireFindings) -> None:
         nonlocal shown
         if verdict.n_frames >= shown + step:
             shown = verdict.n_frames

@@ -9,6 +9,7 @@ ours: ``module_filter``.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,19 +63,22 @@ class IndependentReconstructor:
     def __init__(self, suit: WornSuit, nominal_interval_s: float) -> None:
         skeleton = suit.skeleton
         self._suit = suit
-        self._parents = skeleton.parents.astype(np.int64)
+        gravity = np.array(suit.gravity, np.float64)
+        self._worn = _WornSegments(
+            parents=skeleton.parents.astype(np.int64),
+            q_sb=_inverse_alignment(suit),
+            lever_arms=np.array(suit.lever_arms, np.float64),
+            gravity=gravity,
+        )
         self._offsets = np.array(skeleton.offsets, np.float64)
-        self._lever_arms = np.array(suit.lever_arms, np.float64)
-        self._gravity = np.array(suit.gravity, np.float64)
         self._observer = SegmentObserver(suit)
         self._observed = [int(s) for s in np.flatnonzero(suit.module_of_segment >= 0)]
         self._rows = [int(suit.module_of_segment[s]) for s in self._observed]
-        g = float(np.linalg.norm(self._gravity))
+        g = float(np.linalg.norm(gravity))
         self._motion = no_motion_statistics(skeleton.n_segments)
         self._filters = [ModuleFilter(nominal_interval_s, g, self._motion, s) for s in self._observed]
         self._interval_s, self._g = float(nominal_interval_s), g
         self._places = np.array(self._observed, np.int64), np.array(self._rows, np.int64)
-        self._q_sb = _inverse_alignment(suit)
         self._q_world = _facing(np.asarray(suit.magnetic_field))
         n = len(suit.module_ids)
         self.reset()
@@ -104,21 +108,14 @@ class IndependentReconstructor:
         observed = self._observer.observe(observation)
 
         dt = (observation.time_ns - self._time_ns) * 1e-9
+        rate = observed.angular_rate
+        rate_derivative = (rate - self._rate) / dt if dt > 0.0 else np.full_like(self._rate, np.nan)
+        sensed = _Sensed(status, observed.specific_force, rate, rate_derivative)
         q_wb, acceleration, status = _body_pose(
-            self._parents,
-            self._q_world,
-            self._has_field,
-            self._q_vqf,
-            self._q_sb,
-            status,
-            observed.specific_force,
-            observed.angular_rate,
-            (observed.angular_rate - self._rate) / dt if dt > 0.0 else np.full_like(self._rate, np.nan),
-            self._lever_arms,
-            self._gravity,
+            self._worn, sensed, self._q_vqf, self._has_field, self._q_world
         )
 
-        self._rate, self._time_ns = observed.angular_rate, observation.time_ns
+        self._rate, self._time_ns = rate, observation.time_ns
         for segment, module in zip(self._observed, self._filters, strict=True):
             if status[segment] == HELD and module.is_silent(observation.time_ns):
                 status[segment] = PREDICTED
@@ -127,17 +124,17 @@ class IndependentReconstructor:
             sequence=observation.sequence,
             time_ns=observation.time_ns,
             q_wb=q_wb,
-            angular_rate=observed.angular_rate,
+            angular_rate=rate,
             joint_acceleration=acceleration,
-            p_w=joint_positions(self._parents, self._offsets, q_wb, np.zeros(3)),
+            p_w=joint_positions(self._worn.parents, self._offsets, q_wb, np.zeros(3)),
             sigma=np.full(len(status), np.nan),
             status=status,
-            root=int(np.flatnonzero(self._parents < 0)[0]),
+            root=int(np.flatnonzero(self._worn.parents < 0)[0]),
         )
 
     def _step_filters(self, observation: ImuFrame) -> StatusArray:
         """Feed every module's filter; return the status by segment, PREDICTED where there is no module."""
-        status = np.full(len(self._parents), PREDICTED, np.uint8)
+        status = np.full(len(self._worn.parents), PREDICTED, np.uint8)
         f, w, x = (np.array(v, np.float64, order="C") for v in _rows_of(observation))
         is_inertial, has_field = _has_values(f, w), _has_values(x)
         is_inertial &= observation.status <= Status.HELD
@@ -196,23 +193,40 @@ def _inverse_alignment(suit: WornSuit) -> FloatArray:
     return np.stack([quaternion.conjugate(quaternion.normalise(q)) for q in suit.sensor_to_segment])
 
 
+class _WornSegments(NamedTuple):
+    """The body, and how n segments wear their modules; constant."""
+
+    parents: IntArray  # (n,)
+    q_sb: FloatArray  # (n, 4) segment to sensor
+    lever_arms: FloatArray  # (n, 3) m, from the proximal joint, segment axes
+    gravity: FloatArray  # (3,) m/s², world
+
+
+class _Sensed(NamedTuple):
+    """One instant, by segment and in its axes."""
+
+    status: StatusArray  # (n,)
+    specific_force: FloatArray  # (n, 3) m/s²
+    rate: FloatArray  # (n, 3) rad/s
+    rate_derivative: FloatArray  # (n, 3) rad/s²
+
+
 @compiled
 def _body_pose(
-    parents: IntArray,
-    q_world: FloatArray,
-    has_field: NDArray[np.bool_],
+    worn: _WornSegments,
+    sensed: _Sensed,
     q_vqf: FloatArray,
-    q_sb: FloatArray,
-    sensed: StatusArray,
-    f: FloatArray,
-    rate: FloatArray,
-    rate_derivative: FloatArray,
-    lever_arms: FloatArray,
-    gravity: FloatArray,
+    has_field: NDArray[np.bool_],
+    q_world: FloatArray,
 ) -> tuple[FloatArray, FloatArray, StatusArray]:
-    """Return orientations (n, 4) and joint accelerations (n, 3), m/s², in the world, and the status (n,)."""
+    """Return orientations (n, 4) and joint accelerations (n, 3), m/s², in the world, and the status (n,).
+
+    q_vqf: (n, 4) sensor to the filter's world; has_field: (n,) whether that has a north; q_world: (4,) that
+    world to ENU.
+    """
+    parents, lever_arms, f, rate = worn.parents, worn.lever_arms, sensed.specific_force, sensed.rate
     n = len(parents)
-    q_wb, acceleration, status = np.full((n, 4), np.nan), np.full((n, 3), np.nan), sensed.copy()
+    q_wb, acceleration, status = np.full((n, 4), np.nan), np.full((n, 3), np.nan), sensed.status.copy()
     for s in range(n):
         if status[s] == PREDICTED:
             if parents[s] < 0 or status[parents[s]] == MISSING:
@@ -222,13 +236,14 @@ def _body_pose(
             continue
         if status[s] == MISSING:
             continue
-        q = quaternion.multiply(q_vqf[s], q_sb[s])
+        q = quaternion.multiply(q_vqf[s], worn.q_sb[s])
         if has_field[s]:
             q = quaternion.multiply(q_world, q)
         q_wb[s] = quaternion.canonical(quaternion.normalise(q))
         if status[s] < HELD:
             at_joint = f[s]
             if norm(lever_arms[s]) > 0.0:
-                at_joint = f[s] - derivatives.point_acceleration(rate_derivative[s], rate[s], lever_arms[s])
-            acceleration[s] = quaternion.rotate(q_wb[s], at_joint) + gravity
+                turning = sensed.rate_derivative[s]
+                at_joint = f[s] - derivatives.point_acceleration(turning, rate[s], lever_arms[s])
+            acceleration[s] = quaternion.rotate(q_wb[s], at_joint) + worn.gravity
     return q_wb, acceleration, status

@@ -109,7 +109,7 @@ class ModuleFilter:
         self._is_known = False
         self._vqf.setMotionBiasEstEnabled(True)
         self._vqf.resetState()
-        self._before: Before | None = None
+        self._before: BeforeSilence | None = None
         """What was known before the gap; None unless the module settles."""
         self._pause_s = 0.0
         """After settling, time until the bias is estimated in motion again, s."""
@@ -254,7 +254,7 @@ class ModuleFilter:
         self._forget_averages(state, gap_s)
         q_wi = quaternion.multiply(q_expected, quaternion.conjugate(self._vqf.getQuat3D()))
         q_wi, swing = quaternion.normalise(q_wi), math.sqrt(self._motion.force_square[self._segment])
-        self._before = Before(q_wi, float(sigma), swing, field_norm, dip, self._gravity)
+        self._before = BeforeSilence(q_wi, float(sigma), swing, field_norm, dip, self._gravity)
         self._since = nothing_since()
 
     def _forget_averages(self, state: dict[str, object], gap_s: float) -> None:
@@ -294,7 +294,7 @@ class _Kept(NamedTuple):
     """The state before doubtful samples, to go back to."""
 
     state: dict[str, object]
-    before: Before | None
+    before: BeforeSilence | None
     pause_s: float
     since: Since
     q_wi: FloatArray
@@ -432,7 +432,7 @@ OTHER_FIELD = 0.1
 _SQUARINGS = 20
 
 
-class Before(NamedTuple):
+class BeforeSilence(NamedTuple):
     """What is known of a module when it comes back."""
 
     q_wi: FloatArray  # (4,) as expected
@@ -464,7 +464,7 @@ def nothing_since() -> Since:
 
 @compiled
 def settle(
-    before: Before, since: Since, q_is: FloatArray, f: FloatArray, x: FloatArray, dt: float
+    before: BeforeSilence, since: Since, q_is: FloatArray, f: FloatArray, x: FloatArray, dt: float
 ) -> tuple[FloatArray, float]:
     """Add one sample; return q_wi (4,) and its standard deviation about the axis known worst, rad.
 
@@ -487,7 +487,7 @@ def settle(
 
 
 @compiled
-def _likeliest(before: Before, since: Since, dt: float) -> tuple[FloatArray, float]:
+def _likeliest(before: BeforeSilence, since: Since, dt: float) -> tuple[FloatArray, float]:
     matrix = np.zeros((4, 4))
     weight = 1.0 / before.sigma**2
     for i in range(4):
@@ -515,7 +515,7 @@ def _likeliest(before: Before, since: Since, dt: float) -> tuple[FloatArray, flo
 
 
 @compiled
-def _up(before: Before, since: Since, dt: float) -> tuple[FloatArray, float]:
+def _up(before: BeforeSilence, since: Since, dt: float) -> tuple[FloatArray, float]:
     """Return the mean specific force in frame i, unit (3,), and how far it is from the vertical, rad.
 
     Velocities are bounded, so a plain mean errs by (v₁ − v₀) / t; one that fades in and out (6 s (1 − s), s

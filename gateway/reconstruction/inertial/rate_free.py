@@ -279,7 +279,18 @@ class RateFreeReconstructor:
         )
         for k in range(self._length + 2):
             time_ns = round((k + 1) * self._interval_s * 1e9)
-            self.update(ImuFrame(k, time_ns, up, none, field_, zeros.astype(np.uint8), zeros, local))
+            self.update(
+                ImuFrame(
+                    sequence=k,
+                    time_ns=time_ns,
+                    specific_force=up,
+                    angular_rate=none,
+                    magnetic_field=field_,
+                    status=zeros.astype(np.uint8),
+                    gap_ns=zeros,
+                    local=local,
+                )
+            )
 
 
 # By how much a module's magnetometer is later than its accelerometer, found without any orientation

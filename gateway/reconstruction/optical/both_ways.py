@@ -61,23 +61,25 @@ def solve_both_ways(
     times_s = np.concatenate([[0.0], np.cumsum(np.maximum(steps, _SHORTEST_S))])
     model, within = forward.model, frames[span]
 
-    posture = unknown_posture(len(model.parents), len(within))
+    def reporting(before: int) -> Callable[[int], None] | None:
+        """Return what takes a part's count of frames done, after ``before`` of others."""
+        return None if progress is None else lambda count: progress(before + count, 3 * len(frames))
 
-    def found(
-        begun: tuple[FloatArray, FloatArray], named: Sequence[Named], scales: tuple[float, ...], before: int
-    ) -> tuple[FloatArray, FloatArray]:
-        done = None if progress is None else lambda count: progress(before + count, 3 * len(frames))
-        seen = np.array([positions for positions, _ in named])
-        return found_together(model, times_s, seen, begun, scales, posture, done)
-
-    motion = found(bridged(model.parents, times_s, poses[span]), named[span], (_WIDE, NEAR), len(frames))
-    seen = np.array([positions for positions, _ in named[span]])
-    posture = usual_posture(model, times_s, seen, motion, NEAR)
-    motion = found(motion, named[span], (NEAR,), len(frames))
+    seen, unknown = _positions(named[span]), unknown_posture(len(model.parents), len(within))
+    begun = bridged(model.parents, times_s, poses[span])
+    motion = found_together(model, times_s, seen, begun, (_WIDE, NEAR), unknown, reporting(len(frames)))
+    usual = usual_posture(model, times_s, seen, motion, NEAR)
+    motion = found_together(model, times_s, seen, motion, (NEAR,), usual, reporting(len(frames)))
     again = OpticalReconstructor(skeleton, markers)
     questioned = [again.named(frame, *pose) for frame, *pose in zip(within, *motion, strict=True)]
-    motion = found(motion, questioned, (NEAR,), 2 * len(frames))
+    seen = _positions(questioned)
+    motion = found_together(model, times_s, seen, motion, (NEAR,), usual, reporting(2 * len(frames)))
     for f, R, root, names in zip(range(*span.indices(len(frames))), *motion, questioned, strict=True):
         held = Held(R, BRIDGED_SIGMA**-2, root, BRIDGED_SIGMA**-2, BRIDGED_PLACE_SIGMA**-2)
         solved[f] = again.explained(frames[f], names, held)
     return solved, forward.counts
+
+
+def _positions(named: Sequence[Named]) -> FloatArray:
+    """Return the markers (F, M, 3) m of frames with names put right."""
+    return np.array([positions for positions, _ in named])

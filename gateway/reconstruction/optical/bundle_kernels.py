@@ -75,8 +75,8 @@ def back_substituted(L: FloatArray, X: FloatArray, x: FloatArray, delta: FloatAr
 def jacobians(
     model: BodyModel, observed: FloatArray, robust_weights: FloatArray, R: FloatArray, p: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Of all markers by the pose (3 M, 3 + 3 S) and by the constants (3 M, 3 (S−1) + 3 M); weights,
-    residuals.
+    """Return the Jacobians of all markers by the pose (3 M, 3 + 3 S) and by the constants
+    (3 M, 3 (S−1) + 3 M), their weights and residuals.
 
     Rows of markers that were not seen are zero.
     """

@@ -34,7 +34,7 @@ class Carrying:
         self._rates[:] = 0.0
 
     def add(self, time_ns: int, R: FloatArray) -> None:
-        """The pose (S, 3, 3) of an instant."""
+        """Add the pose R (S, 3, 3), segment to world, of an instant."""
         step = 1e-9 * (time_ns - self._time_ns)
         if self._R is None or not 0.0 < step < _LONGEST_STEP_S:
             self._rates[:] = 0.0

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import FloatArray
+from gateway.reconstruction.optical.landmarks import Measured
+from gateway.reconstruction.optical.worn_markers import NamedTrials
 
 MOST_REST_MM = 20.0
 """RMS: skin leaves 3 to 10."""
@@ -19,49 +22,50 @@ _NAMED = 12
 """Of a file's markers in a note."""
 
 
+class JointCentres(NamedTuple):
+    """What decided where the joints are."""
+
+    is_functional: bool
+    """Whether joints are where the motion has them, whatever rules say: asked for, or since markers are met
+    far better without rules."""
+    strained: tuple[str, ...] = ()
+    """Segments whose joints come from a regression, and went as far from it as it lets them."""
+    rmse_free: float = np.nan
+    """m: ``Fit.rmse``, had the motion decided alone; NaN where no joint strains."""
+
+
 @dataclass(frozen=True)
 class Fit:
-    """A fitted body, and how it came about."""
+    """A fitted body, and how it came about. S segments."""
 
     skeleton: Skeleton
     markers: BodyMarkers
-    marker_set: str
-    lengths: Mapping[str, float]
-    angles: Mapping[str, float]
-    """rad"""
-    assumed: tuple[str, ...]
-    """Measurements that nobody told."""
+    trials: NamedTrials
+    """What it was fitted to, and what of that was left out or put right."""
+    measured: Measured
+    centres: JointCentres
     frames: int
     rmse: float
     """m, of the frames it was fitted to."""
     moved: FloatArray
     """(S,) m: how far the motion moved every joint from where rules had it."""
-    left_out: tuple[str, ...] = ()
-    """Segments of the marker set's body that carry no marker of these trials."""
-    too_few: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    too_few: Mapping[str, tuple[str, ...]]
     """Segments that carry too few for their axes, and those beyond them: with the markers that lack."""
-    is_functional: bool = False
-    """Whether joints are where the motion has them, whatever rules say."""
-    strained: tuple[str, ...] = ()
-    """Segments whose joints come from a regression, and went as far from it as it lets them."""
-    rmse_free: float = np.nan
-    """m: ``rmse``, had the motion decided alone; NaN where no joint strains."""
-    ghosts: Mapping[str, int] = field(default_factory=dict)
-    """Points far from all that sits beside their marker, by its name in the files: they had no say."""
-    exchanged: Mapping[str, int] = field(default_factory=dict)
-    """Frames in which a left marker had the name of the right one, by its name in the files: put right."""
-    other_sizes: Mapping[str, float] = field(default_factory=dict)
+    other_sizes: Mapping[str, float]
     """Trials whose markers are farther apart or nearer than those of the first, and how many times."""
-    other_axes: Mapping[str, str] = field(default_factory=dict)
+    other_axes: Mapping[str, str]
     """Trials in which another axis points up than in the first, and which: they were turned."""
-    backwards: tuple[str, ...] = ()
+    backwards: tuple[str, ...]
     """Joints that bend only to the side to which they cannot, or whose segments are turned about."""
-    turned: tuple[str, ...] = ()
+    turned: tuple[str, ...]
     """Joints whose segment is turned about, where nothing bends backwards on both sides."""
-    strangers: tuple[str, ...] = ()
-    """Names in the files that are none of the set's."""
-    is_still: bool = False
+    is_still: bool
     """Whether nothing moves in any of the trials."""
+
+    @property
+    def marker_set(self) -> str:
+        """Name of the set whose markers the person wears."""
+        return self.trials.marker_set.file.name
 
     @property
     def lengths_mm(self) -> dict[str, float]:
@@ -97,14 +101,14 @@ class Fit:
             "frames": self.frames,
             "rmse_mm": round(1e3 * self.rmse, 2),
             "markers": len(self.markers.labels),
-            "assumed": list(self.assumed),
+            "assumed": list(self.measured.assumed),
             "up": self.markers.vertical,
-            "angles_deg": {name: round(math.degrees(a), 2) for name, a in self.angles.items() if a},
-            "left_out": list(self.left_out),
-            "functional": self.is_functional,
-            "strained": list(self.strained),
-            "ghosts": dict(self.ghosts),
-            "exchanged": dict(self.exchanged),
+            "angles_deg": {name: round(math.degrees(a), 2) for name, a in self.measured.angles.items() if a},
+            "left_out": list(self.trials.left_out),
+            "functional": self.centres.is_functional,
+            "strained": list(self.centres.strained),
+            "ghosts": dict(self.trials.ghosts),
+            "exchanged": dict(self.trials.exchanged),
             "backwards": list(self.backwards),
             "turned": list(self.turned),
             "too_few": {name: list(labels) for name, labels in self.too_few.items()},
@@ -140,12 +144,17 @@ def uneven_sides(lengths_mm: Mapping[str, float]) -> list[tuple[str, str]]:
 
 def fit_doubts(found: Fit) -> list[str]:
     """Return what speaks against the files, a sentence each."""
-    doubts = []
-    if found.ghosts:
-        by_marker = ", ".join(f"{label} {count}" for label, count in found.ghosts.items())
+    return [*_doubts_on_markers(found), *_doubts_on_trials(found)]
+
+
+def _doubts_on_markers(found: Fit) -> list[str]:
+    """Return whether points seem to have others' names, or the files another axis."""
+    trials, doubts = found.trials, []
+    if trials.ghosts:
+        by_marker = ", ".join(f"{label} {count}" for label, count in trials.ghosts.items())
         doubts.append(f"points far from the markers beside them were left out ({by_marker})")
-    if found.exchanged:
-        by_marker = ", ".join(f"{label} {count}" for label, count in found.exchanged.items())
+    if trials.exchanged:
+        by_marker = ", ".join(f"{label} {count}" for label, count in trials.exchanged.items())
         doubts.append(
             f"left and right were exchanged in part of a trial, and put right (frames: {by_marker})"
         )
@@ -161,12 +170,18 @@ def fit_doubts(found: Fit) -> list[str]:
         f"{name} is turned about: do two of the markers beyond it ({beyond}) have each other's name?"
         for name, beyond in found.turned_about
     ]
-    if found.strangers and (found.left_out or found.too_few):
-        names = ", ".join(found.strangers[:_NAMED]) + (", …" if len(found.strangers) > _NAMED else "")
+    if trials.strangers and (trials.left_out or found.too_few):
+        names = ", ".join(trials.strangers[:_NAMED]) + (", …" if len(trials.strangers) > _NAMED else "")
         doubts.append(
             f"the set has no {names}: rename those that sit on a segment that is left out as the set "
             "calls them, or describe them in a file and name it with --set"
         )
+    return doubts
+
+
+def _doubts_on_trials(found: Fit) -> list[str]:
+    """Return whether trials are of no use, or unlike each other, or unlike the body that was found."""
+    doubts = []
     if found.is_still:
         doubts.append(
             "nothing moves in the trials: joints are where rules have them, and skin where it is in this one "
@@ -196,8 +211,8 @@ def fit_notes(found: Fit, *, functional: bool) -> list[str]:
     given."""
     lengths = found.lengths_mm
     notes = _notes_on_joints(found, functional=functional) + fit_doubts(found)
-    if found.left_out:
-        notes.append(f"no markers on {', '.join(found.left_out)}: the body goes without them")
+    if found.trials.left_out:
+        notes.append(f"no markers on {', '.join(found.trials.left_out)}: the body goes without them")
     notes += [
         f"too few markers on {', '.join(names)}: the body goes without (the trials lack {lacking})"
         for lacking, names in by_lacking(found.too_few).items()
@@ -207,8 +222,8 @@ def fit_notes(found: Fit, *, functional: bool) -> list[str]:
         f"one name sit at the same place on both sides ({found.worn_on(left)}; {found.worn_on(right)})?"
         for left, right in uneven_sides(lengths)
     ]
-    if found.assumed:
-        taken = ", ".join(f"{name}={found.lengths[name]:g}" for name in found.assumed)
+    if found.measured.assumed:
+        taken = ", ".join(f"{name}={found.measured.lengths[name]:g}" for name in found.measured.assumed)
         notes.append(f"no file tells these, m (--measure NAME=METRES does): {taken}")
     return notes
 
@@ -216,17 +231,17 @@ def fit_notes(found: Fit, *, functional: bool) -> list[str]:
 def _notes_on_joints(found: Fit, *, functional: bool) -> list[str]:
     """Return whether rules or the motion have placed the joints, where the other would be far from it."""
     notes = []
-    if found.is_functional and not functional:
+    if found.centres.is_functional and not functional:
         notes.append(
             "joint centres are where the motion has them, as with --functional: markers are met far "
             "better so than where rules have them (--rules-only keeps to those)"
         )
-    if found.strained:
-        away = ", ".join(f"{name} {found.moved_mm[name]:.0f} mm" for name in found.strained)
+    if found.centres.strained:
+        away = ", ".join(f"{name} {found.moved_mm[name]:.0f} mm" for name in found.centres.strained)
         notes.append(
             f"the motion would have hips farther from their regression ({away}; regressions are off by "
             "15 to 25 mm): --functional lets it decide and meets markers within "
-            f"{1e3 * found.rmse_free:.1f} mm; better with trials that move hips in all directions, not "
-            "with a plain walk"
+            f"{1e3 * found.centres.rmse_free:.1f} mm; better with trials that move hips in all directions, "
+            "not with a plain walk"
         )
     return notes

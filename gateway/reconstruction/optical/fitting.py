@@ -14,7 +14,6 @@ from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.anchoring import (
     turned,
     turns_to_bending,
@@ -28,7 +27,7 @@ from gateway.reconstruction.optical.bundle import (
     weighted_rmse,
     with_sigmas,
 )
-from gateway.reconstruction.optical.fitted_body import Fit
+from gateway.reconstruction.optical.fitted_body import Fit, JointCentres
 from gateway.reconstruction.optical.ghosts import other_sizes
 from gateway.reconstruction.optical.joint_ranges import impossible_joints, shown_joints
 from gateway.reconstruction.optical.landmarks import (
@@ -43,7 +42,7 @@ from gateway.reconstruction.optical.landmarks import (
 from gateway.reconstruction.optical.marker_set import MarkerSet
 from gateway.reconstruction.optical.pose_solver import BodyModel, Held, Pose, body_model, everyone, solve_pose
 from gateway.reconstruction.optical.rule_body import (
-    Sighting,
+    SightedTrial,
     facing_axes,
     from_rules,
     mean_rotation,
@@ -53,7 +52,7 @@ from gateway.reconstruction.optical.rule_body import (
     unseen,
 )
 from gateway.reconstruction.optical.tracking import NEAR, start_pose
-from gateway.reconstruction.optical.worn_markers import dressed_in, worn_part
+from gateway.reconstruction.optical.worn_markers import named_trials, worn_part
 
 Progress = Callable[[int, int], None]
 
@@ -110,50 +109,41 @@ def fit_body(
     markers are meant.
     """
     options, report = options or FitOptions(), progress or (lambda _done, _total: None)
-    dressed = dressed_in(marker_set, trials, options.person)
-    marker_set, trials = dressed.marker_set, dressed.trials
-    measured = measurements(marker_set, list(trials), options.lengths, options.angles)
-    vertical, trials, other_axes = _upright(marker_set, trials, options.vertical)
-    marker_set, sightings, too_few = _enough_seen(marker_set, trials, vertical, measured)
-    bending, stood = _bending(marker_set), None
+    named = named_trials(marker_set, trials, options.person)
+    measured = measurements(named.marker_set, list(named.trials), options.lengths, options.angles)
+    vertical, upright, other_axes = _upright(named.marker_set, named.trials, options.vertical)
+    seen = _enough_seen(named.marker_set, upright, vertical, measured)
+    marker_set, sightings, bending = seen.marker_set, seen.sightings, _bending(seen.marker_set)
     if options.neutral is not None:
-        bending = []
-        sightings = _stood_neutral(marker_set, sightings, trials[0], options.neutral)
+        sightings, bending = _stood_neutral(marker_set, sightings, upright[0], options.neutral), []
     moving = _moving(sightings)
     skeleton, markers = from_rules(marker_set, moving, vertical)
     chosen = [_spread(each, MOST_FRAMES // len(sightings)) for each in moving]
     evidence = _evidence(marker_set, skeleton, markers, chosen)
     report(1, 2)
+    stood = None
     if options.neutral is not None:
-        stood = _standing(sightings[0], markers, marker_set, options.neutral, trials[0])
-    found, tips, moved = _shaped(marker_set, skeleton, evidence, options.centres, bending, stood)
-    done = found.done
-    final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
+        stood = _standing(sightings[0], markers, marker_set, options.neutral, upright[0])
+    shape = _shaped(marker_set, skeleton, evidence, options.centres, bending, stood)
+    poses = shape.done.poses
+    final = with_sigmas(shape.done.model, poses, SMALLEST_SIGMA)
     report(2, 2)
-    backwards, turned_about = impossible_joints(marker_set.body, final, done.poses)
-    own_labels = tuple(dressed.file_labels[label] for label in markers.labels)
-    sized = resized(marker_set, final.offsets, tips)
+    backwards, turned_about = impossible_joints(marker_set.body, final, poses)
+    own_labels = tuple(named.file_labels[label] for label in markers.labels)
+    sized = resized(marker_set, final.offsets, shape.tips)
     return Fit(
-        skeleton=replace(sized, joints=shown_joints(sized, final, done.poses, bending)),
+        skeleton=replace(sized, joints=shown_joints(sized, final, poses, bending)),
         markers=replace(markers, labels=own_labels, positions=final.positions, sigmas=final.sigmas),
-        marker_set=marker_set.file.name,
-        lengths=measured.lengths,
-        angles=measured.angles,
-        assumed=measured.assumed,
+        trials=named,
+        measured=measured,
+        centres=shape.centres,
         frames=len(evidence.observed),
-        rmse=done.rmse,
-        moved=moved,
-        left_out=dressed.left_out,
-        too_few=too_few,
-        is_functional=found.is_functional,
-        strained=found.strained,
-        rmse_free=found.rmse_free,
-        ghosts=dressed.ghosts,
-        exchanged=dressed.exchanged,
-        other_sizes=other_sizes(marker_set, trials),
+        rmse=shape.done.rmse,
+        moved=shape.moved,
+        too_few=seen.too_few,
+        other_sizes=other_sizes(marker_set, upright),
         other_axes=other_axes,
         backwards=backwards,
-        strangers=dressed.strangers,
         turned=turned_about,
         is_still=all(_largest_stray(sighting.markers) < _STILL for sighting in sightings),
     )
@@ -182,7 +172,7 @@ class _Evidence(NamedTuple):
 
 
 def _evidence(
-    marker_set: MarkerSet, skeleton: Skeleton, markers: BodyMarkers, chosen: Sequence[Sighting]
+    marker_set: MarkerSet, skeleton: Skeleton, markers: BodyMarkers, chosen: Sequence[SightedTrial]
 ) -> _Evidence:
     """Return the chosen frames of all trials, each with the pose from which the fit begins."""
     model = body_model(skeleton, markers)
@@ -207,16 +197,13 @@ def _moved_by_motion(
     return adjusted(known, observed, done.poses, trust, NEAR, bending)
 
 
-class _Found(NamedTuple):
-    """A body as motion and rules have it."""
+class _Shape(NamedTuple):
+    """A body of S segments as motion and rules have it."""
 
     done: Adjusted
-    is_functional: bool
-    """Whether rules were left aside: asked for, or since markers are met far better without."""
-    strained: tuple[str, ...] = ()
-    """Segments whose joints come from a regression, and went as far as it lets them."""
-    rmse_free: float = np.nan
-    """m, were they let go."""
+    centres: JointCentres
+    tips: FloatArray  # (S, 3) m
+    moved: FloatArray  # (S,) m: how far the motion moved every joint
 
 
 def _shaped(
@@ -226,45 +213,43 @@ def _shaped(
     centres: str,
     bending: Sequence[int],
     stood: FloatArray | None,
-) -> tuple[_Found, FloatArray, FloatArray]:
-    """Return the body with its joints by motion and rules, its tips (S, 3), m, and how far the motion moved
-    every joint (S,), m.
+) -> _Shape:
+    """Return the body with its joints by motion and rules.
 
     stood: frames (n, M, 3) m whose posture gives the axes; None: rules do.
     """
     begun = Adjusted(evidence.model, evidence.poses, weighted_rmse(evidence.poses), 0)
     done, tips = turned(begun, skeleton.tips, turns_to_bending(evidence.model, evidence.poses, bending))
     if centres == "rules":
-        return _Found(done, is_functional=False), tips, np.zeros(skeleton.n_segments)
-    found = _found_in_motion(marker_set, done, evidence.observed, centres, bending)
-    done = found.done
+        return _Shape(done, JointCentres(is_functional=False), tips, np.zeros(skeleton.n_segments))
+    done, decided = _found_in_motion(marker_set, done, evidence.observed, centres, bending)
     moved = np.linalg.norm(done.model.offsets - skeleton.offsets, axis=1)
     if stood is None:
         done, tips = turned(done, tips, turns_to_rules(done.poses, evidence.axes))
         done, tips = turned(done, tips, turns_to_bending(done.model, done.poses, bending))
     else:
         done, tips = _anchored_in_neutral(marker_set, done, evidence.observed, stood, tips, centres)
-    return found._replace(done=done), tips, moved
+    return _Shape(done, decided, tips, moved)
 
 
 def _found_in_motion(
     marker_set: MarkerSet, begun: Adjusted, observed: FloatArray, centres: str, bending: Sequence[int]
-) -> _Found:
+) -> tuple[Adjusted, JointCentres]:
     """Return the body as the motion has it, each joint as far from its rule as this lets it. Where some went
     that far, and markers are met far better without rules, it goes without."""
     done = _moved_by_motion(marker_set, begun, observed, centres, bending)
     if centres == "motion":
-        return _Found(done, is_functional=True)
+        return done, JointCentres(is_functional=True)
     away = np.linalg.norm(done.model.offsets - begun.model.offsets, axis=1)
     strained = np.flatnonzero(away > _trust(marker_set, begun.model, centres)).tolist()
     if not strained:
-        return _Found(done, is_functional=False)
+        return done, JointCentres(is_functional=False)
     free = _moved_by_motion(marker_set, begun, observed, "motion", bending)
     if free.rmse < _FAR_BETTER * done.rmse:
-        return _Found(free, is_functional=True)
+        return free, JointCentres(is_functional=True)
     names = marker_set.body.segment_names
     regressed = tuple(names[s] for s in strained if _is_regressed(marker_set, names[s]))
-    return _Found(done, False, regressed, free.rmse if regressed else np.nan)
+    return done, JointCentres(False, regressed, free.rmse if regressed else np.nan)
 
 
 def _is_regressed(marker_set: MarkerSet, name: str) -> bool:
@@ -293,17 +278,28 @@ def _anchored_in_neutral(
     return _made_neutral(body, done, stood, tips)
 
 
+class _Seen(NamedTuple):
+    """The part of a marker set that trials show."""
+
+    marker_set: MarkerSet
+    sightings: list[SightedTrial]
+    too_few: dict[str, tuple[str, ...]]
+    """Limbs of which no frame tells how they lie, with the markers that lack: they are left out."""
+
+
 def _enough_seen(
     marker_set: MarkerSet, trials: Sequence[MarkerTrial], vertical: str, measured: Measured
-) -> tuple[MarkerSet, list[Sighting], dict[str, tuple[str, ...]]]:
-    """Return the set without limbs of which no frame tells how they lie, what is seen of the rest, and those
-    limbs with the markers that lack. A body of which hardly anything would be left stays as it is."""
+) -> _Seen:
+    """Return what is seen, without limbs that have too few markers for it.
+
+    A body of which hardly anything would be left stays as it is.
+    """
     left, too_few = marker_set, dict[str, tuple[str, ...]]()
     while True:
         sightings = [sighted(left, trial, vertical, measured) for trial in trials]
         never = unseen(left, [sighting.places.axes for sighting in sightings])
         if not never:
-            return left, sightings, too_few
+            return _Seen(left, sightings, too_few)
         body = left.body
         lost = set(never)
         for name, parent in zip(body.segment_names, body.parents.tolist(), strict=True):
@@ -312,22 +308,23 @@ def _enough_seen(
         own = left.file.markers
         kept = [label for name, labels in own.items() if name not in lost for label in labels]
         if body.segment_names[0] in lost or sum(name not in lost for name in own) < _FEWEST_SEGMENTS:
-            return marker_set, [sighted(marker_set, trial, vertical, measured) for trial in trials], {}
+            whole = [sighted(marker_set, trial, vertical, measured) for trial in trials]
+            return _Seen(marker_set, whole, {})
         known = [*too_few.values(), *never.values()]
         lacking = tuple(dict.fromkeys(label for labels in known for label in labels))
         too_few |= {name: tuple(never.get(name) or lacking) for name in body.segment_names if name in lost}
         left = worn_part(left, kept, lost)
 
 
-def sighted(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> Sighting:
+def sighted(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> SightedTrial:
     """Return a trial's markers in the world, and what rules make of them."""
     markers = to_world(trial.columns(marker_set.labels), vertical)
-    return Sighting(trial.name, markers, landmarks_of(marker_set, trial, vertical, measured).places())
+    return SightedTrial(trial.name, markers, landmarks_of(marker_set, trial, vertical, measured).places())
 
 
 def _stood_neutral(
-    marker_set: MarkerSet, sightings: list[Sighting], trial: MarkerTrial, span: tuple[float, float]
-) -> list[Sighting]:
+    marker_set: MarkerSet, sightings: list[SightedTrial], trial: MarkerTrial, span: tuple[float, float]
+) -> list[SightedTrial]:
     first, last = (round(each * trial.rate_hz) for each in span)
     stretch = sightings[0].places.axes[max(first, 0) : last]
     body = marker_set.body
@@ -358,7 +355,7 @@ def _trust(marker_set: MarkerSet, model: BodyModel, centres: str) -> FloatArray:
     return np.where(is_hardly_seen & (model.parents >= 0), _HELD * trust, trust)
 
 
-def _moving(sightings: Sequence[Sighting]) -> list[Sighting]:
+def _moving(sightings: Sequence[SightedTrial]) -> list[SightedTrial]:
     """Return the trials, few frames of those in which nothing moves.
 
     A posture held for seconds is one posture: were all its frames to count, the body would be that of this
@@ -369,7 +366,7 @@ def _moving(sightings: Sequence[Sighting]) -> list[Sighting]:
     ]
 
 
-def _spread(sighting: Sighting, count: int) -> Sighting:
+def _spread(sighting: SightedTrial, count: int) -> SightedTrial:
     """Return so many of the frames with most markers seen, at equal distances."""
     share = np.isfinite(sighting.markers).all(axis=2).mean(axis=1)
     good = np.flatnonzero(share >= min(0.8, share.max()))
@@ -378,7 +375,7 @@ def _spread(sighting: Sighting, count: int) -> Sighting:
 
 
 def _standing(
-    sighting: Sighting,
+    sighting: SightedTrial,
     markers: BodyMarkers,
     marker_set: MarkerSet,
     span: tuple[float, float],
@@ -400,7 +397,7 @@ def _made_neutral(
     for seen in stood:
         pose = solve_pose(model, everyone(seen, _NEAR_AT_FIRST), pose.R, pose.root, Held(pose.R), 30)
         standing.append(pose)
-    joints = [kernels.places(model.parents, model.offsets, each.R, each.root) for each in standing]
+    joints = [model.joints_at(each.R, each.root) for each in standing]
     upright = facing_axes(body, np.mean(joints, axis=0), standing[0].R[0])
     return turned(done, tips, turns_to_neutral(standing, upright))
 
@@ -418,7 +415,11 @@ def _largest_stray(seen: FloatArray) -> float:
 def _begun(
     model: BodyModel, seen: FloatArray, axes: FloatArray, root: FloatArray, skeleton: Skeleton, name: str
 ) -> Pose:
-    """From where rules find the body; from the markers alone where those do not know all of it."""
+    """Return the pose that the fit begins from.
+
+    It is that of the rules; where these do not know all of the body, that of the markers alone.
+    seen: (M, 3) m; axes: (S, 3, 3) segment to world and root: (3,) m, by the rules; name: of the trial.
+    """
     if np.isfinite(axes).all() and np.isfinite(root).all():
         return solve_pose(model, everyone(seen, _NEAR_AT_FIRST), axes, root, Held(axes), 30)
     pose = start_pose(model, seen, quaternion.to_matrix(skeleton.neutral))

@@ -145,13 +145,13 @@ def other_sizes(marker_set: MarkerSet, trials: Sequence[MarkerTrial]) -> dict[st
 
 
 def _median(values: FloatArray) -> float:
-    """Of the values that are known; NaN for none."""
+    """Return the median of the values that are known; NaN for none."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else np.nan
 
 
 def _neighbours(marker_set: MarkerSet) -> list[IntArray]:
-    """Of every marker those on its segment, the one that bears it, and those that it bears."""
+    """Return for every marker those on its segment, on the one that bears it, and on those that it bears."""
     body = marker_set.body
     on = np.array([body.index(marker_set.carriers[label]) for label in marker_set.labels])
     parents = body.parents[on]

@@ -205,7 +205,7 @@ def substituted(L: FloatArray, b: FloatArray) -> FloatArray:
 
 @compiled
 def solve_transposed(L: FloatArray, x: FloatArray) -> None:
-    """x ← solution of Lᵀ x = x, in place."""
+    """Solve Lᵀ y = x for y, in place of x."""
     n = len(x)
     for i in range(n - 1, -1, -1):
         for k in range(i + 1, n):

@@ -186,7 +186,7 @@ class Landmarks:
     """Points of a trial, each worked out when it is first asked for."""
 
     def __init__(self, marker_set: MarkerSet, markers: Mapping[str, FloatArray], measured: Measured):
-        """markers: label to (F, 3) m, world."""
+        """Find nothing yet. markers: label to (F, 3) m, world."""
         self._set = marker_set
         self._lengths = measured.lengths
         self._angles = measured.angles
@@ -243,17 +243,17 @@ class Landmarks:
         return self.point(ends[0]), self.point(ends[1])
 
     def length(self, value: Length) -> float:
-        """In m: a number, or a measurement by name, ``marker_radius`` among them."""
+        """Return a length, m: a number, or a measurement by name, ``marker_radius`` among them."""
         if value == MARKER_RADIUS:
             return self.marker_radius
         return self._lengths[value] if isinstance(value, str) else value
 
     def angle(self, name: str) -> float:
-        """Of the person, rad."""
+        """Return an angle of the person by name, rad."""
         return self._angles[name]
 
     def inside(self, width: Length) -> float:
-        """From a marker's middle to the middle of a joint of that width, m."""
+        """Return how far it is from a marker's middle to the middle of a joint of that width, m."""
         return 0.5 * self.length(width) + self.marker_radius
 
     @property

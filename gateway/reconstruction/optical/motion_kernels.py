@@ -22,7 +22,12 @@ from gateway.geometry import rotation_matrix as rm
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, is_finite, norm, skew
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.optical.pose_solver import BodyModel, Seen, marker_weights, normal_equations
+from gateway.reconstruction.optical.pose_solver import (
+    BodyModel,
+    WeighedMarkers,
+    marker_weights,
+    normal_equations,
+)
 
 REACH = 4
 """Frames that a third difference takes: as far apart may frames be that know of each other."""
@@ -38,7 +43,7 @@ class Differences(NamedTuple):
     place_weight: FloatArray  # (D,) for m / s^order
 
 
-class Posture(NamedTuple):
+class UsualTurns(NamedTuple):
     """What a person's joints usually do: every joint's mean turn, and how far it is from that."""
 
     mean: FloatArray  # (S, 3, 3) in the parent's axes
@@ -51,12 +56,12 @@ class Evidence(NamedTuple):
 
     model: BodyModel
     observed: FloatArray  # (F, M, 3) m, NaN where not seen
-    scale: float  # m, as in ``Seen``
+    scale: float  # m, as in ``WeighedMarkers``
     differences: Differences
-    posture: Posture
+    posture: UsualTurns
 
 
-class Motion(NamedTuple):
+class MovingPoses(NamedTuple):
     """Poses of F frames, of which those from ``free`` on may move."""
 
     R: FloatArray  # (F, S, 3, 3)
@@ -65,7 +70,7 @@ class Motion(NamedTuple):
 
 
 @compiled
-def motion_cost(evidence: Evidence, motion: Motion) -> float:
+def motion_cost(evidence: Evidence, motion: MovingPoses) -> float:
     """Return what markers, joints, motion and posture cost together."""
     model, observed, scale, differences, posture = evidence
     total = 0.0
@@ -95,7 +100,7 @@ def motion_cost(evidence: Evidence, motion: Motion) -> float:
 
 
 @compiled
-def assembled(evidence: Evidence, motion: Motion) -> tuple[FloatArray, FloatArray]:
+def assembled(evidence: Evidence, motion: MovingPoses) -> tuple[FloatArray, FloatArray]:
     """Return the normal equations of the free frames' changes, n = (3 + 3 S) each.
 
     The matrix is (frames n, REACH n): element [i, k] is that of row i + k and column i.
@@ -110,7 +115,7 @@ def assembled(evidence: Evidence, motion: Motion) -> tuple[FloatArray, FloatArra
         R, at = motion.R[f], (f - free) * n
         p = kernels.places(model.parents, model.offsets, R, motion.root[f])
         y = kernels.marker_places(model.segments, model.positions, R, p)
-        robust_weights = marker_weights(model, Seen(observed[f], everybody, scale), y)
+        robust_weights = marker_weights(model, WeighedMarkers(observed[f], everybody, scale), y)
         H, g, _ = normal_equations(model, observed[f], robust_weights, R, p)
         for i in range(n):
             right[at + i] += g[i]
@@ -127,14 +132,14 @@ def assembled(evidence: Evidence, motion: Motion) -> tuple[FloatArray, FloatArra
 
 
 @compiled
-def stepped(model: BodyModel, motion: Motion, change: FloatArray) -> Motion:
+def stepped(model: BodyModel, motion: MovingPoses, change: FloatArray) -> MovingPoses:
     """Return the motion with its free frames changed, (free frames (3 + 3 S),)."""
     R, root = motion.R.copy(), motion.root.copy()
     n = 3 + 3 * len(model.parents)
     for f in range(motion.free, len(R)):
         at = (f - motion.free) * n
         R[f], root[f] = kernels.moved(model.parents, R[f], root[f], change[at : at + n])
-    return Motion(R, root, motion.free)
+    return MovingPoses(R, root, motion.free)
 
 
 @compiled
@@ -170,7 +175,7 @@ def _by_turn_in_world(u: FloatArray, R: FloatArray) -> FloatArray:
 
 @compiled
 def _add_posture(
-    band: FloatArray, right: FloatArray, motion: Motion, joints: FloatArray, posture: Posture, f: int
+    band: FloatArray, right: FloatArray, motion: MovingPoses, joints: FloatArray, posture: UsualTurns, f: int
 ) -> None:
     n = 3 + 3 * joints.shape[1]
     for s in range(joints.shape[1]):
@@ -195,7 +200,7 @@ def _place_difference(root: FloatArray, differences: Differences, d: int) -> Flo
 
 @compiled
 def _add_places(
-    band: FloatArray, right: FloatArray, motion: Motion, differences: Differences, d: int, n: int
+    band: FloatArray, right: FloatArray, motion: MovingPoses, differences: Differences, d: int, n: int
 ) -> None:
     first, count, weight = differences.first[d], differences.frames[d], differences.place_weight[d]
     e = _place_difference(motion.root, differences, d)
@@ -214,7 +219,7 @@ def _add_places(
 def _add_turns(
     band: FloatArray,
     right: FloatArray,
-    motion: Motion,
+    motion: MovingPoses,
     joints: FloatArray,
     differences: Differences,
     d: int,

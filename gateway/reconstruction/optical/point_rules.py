@@ -22,7 +22,7 @@ def unit(vectors: FloatArray) -> FloatArray:
 
 
 def _mean_length(vectors: FloatArray) -> float:
-    """Of those that are known; NaN where none is."""
+    """Return the mean length of the vectors (n, 3) that are known; NaN where none is."""
     lengths = np.linalg.norm(vectors, axis=-1)
     known = np.isfinite(lengths)
     return float(lengths[known].mean()) if known.any() else np.nan
@@ -86,8 +86,8 @@ def chord(
 def _chord_turn(
     proximal: FloatArray, marker: FloatArray, plane: FloatArray, to_centre: FloatArray, wand_angle: float
 ) -> FloatArray:
-    """By how much the centre goes round the line from marker to proximal joint for a wand out of the plane,
-    (F, 1) rad.
+    """Return by how much the centre goes round the line from marker to proximal joint, (F, 1) rad, for a wand
+    out of the plane.
 
     Seen from the proximal joint, centre, marker and wand are the corners of a spherical triangle: two sides
     and the angle at the centre are known. Law of sines, then Napier's analogy; of two triangles the one that

@@ -49,8 +49,16 @@ class BodyModel(NamedTuple):
     limits: FloatArray  # (J, 3, 2) rad
     limit_stiffness: float  # 1/rad²
 
+    def joints_at(self, R: FloatArray, root: FloatArray) -> FloatArray:
+        """Return the proximal joints (S, 3) of a pose R (S, 3, 3) segment to world, root (3,); world, m."""
+        return kernels.places(self.parents, self.offsets, R, root)
 
-class Seen(NamedTuple):
+    def markers_at(self, R: FloatArray, root: FloatArray) -> FloatArray:
+        """Return where the body has its markers (M, 3) in a pose as of ``joints_at``; world, m."""
+        return kernels.marker_places(self.segments, self.positions, R, self.joints_at(R, root))
+
+
+class WeighedMarkers(NamedTuple):
     """One frame of markers."""
 
     observed: FloatArray  # (M, 3) m; NaN rows: not seen
@@ -105,14 +113,23 @@ def body_model(skeleton: Skeleton, markers: BodyMarkers) -> BodyModel:
             if angle.name not in joint.free:
                 stiffness[row, k] = FIXED_SIGMA**-2
     return BodyModel(
-        skeleton.parents, skeleton.offsets, markers.segments, markers.positions, markers.sigmas, distals,
-        axes, signs, stiffness, limits, LIMIT_SIGMA**-2,
-    )  # fmt: skip
+        parents=skeleton.parents,
+        offsets=skeleton.offsets,
+        segments=markers.segments,
+        positions=markers.positions,
+        sigmas=markers.sigmas,
+        distals=distals,
+        axes=axes,
+        signs=signs,
+        stiffness=stiffness,
+        limits=limits,
+        limit_stiffness=LIMIT_SIGMA**-2,
+    )
 
 
-def everyone(observed: FloatArray, scale: float) -> Seen:
+def everyone(observed: FloatArray, scale: float) -> WeighedMarkers:
     """Return a frame of which all markers are trusted. scale: m."""
-    return Seen(observed, np.ones(len(observed)), scale)
+    return WeighedMarkers(observed, np.ones(len(observed)), scale)
 
 
 @compiled
@@ -185,7 +202,7 @@ def normal_equations(
 
 
 @compiled
-def marker_weights(model: BodyModel, seen: Seen, y: FloatArray) -> FloatArray:
+def marker_weights(model: BodyModel, seen: WeighedMarkers, y: FloatArray) -> FloatArray:
     """Return Geman–McClure weights (1 + (r / c)²)⁻², times the trust given; 0 where a marker was not seen.
 
     c: the scale, and four times a marker's own σ at the least.
@@ -202,7 +219,7 @@ def marker_weights(model: BodyModel, seen: Seen, y: FloatArray) -> FloatArray:
 
 @compiled
 def solve_pose(
-    model: BodyModel, seen: Seen, R: FloatArray, root: FloatArray, held: Held, longest: int
+    model: BodyModel, seen: WeighedMarkers, R: FloatArray, root: FloatArray, held: Held, longest: int
 ) -> Pose:
     """Return the pose that explains the markers best, near the one given.
 

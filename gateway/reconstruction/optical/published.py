@@ -19,7 +19,6 @@ from devices.deferred import butter, minimize, sosfiltfilt
 from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix as rm
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
 from gateway.reconstruction.optical.published_chains import Chain, chain_gradient, chains_of, turned
 
@@ -110,7 +109,10 @@ def _one_pass(
 def _solve_chain(
     model: BodyModel, seen: FloatArray, R: FloatArray, root: FloatArray, chain: Chain
 ) -> tuple[FloatArray, FloatArray]:
-    """BFGS over the turns of a chain's joints, and the root's shift where the chain begins at the world."""
+    """Return a pose with one chain solved.
+
+    By BFGS over the turns of its joints, and over the root's shift where it begins at the world.
+    """
     n = 3 * len(chain.segments) + (3 if chain.moves_root else 0)
 
     def cost(x: FloatArray) -> tuple[float, FloatArray]:
@@ -132,7 +134,7 @@ def _mean_places(model: BodyModel, observed: FloatArray, R: FloatArray, root: Fl
             np.einsum(
                 "mji,mj->mi",
                 R[f][model.segments],
-                observed[f] - _places(model, R[f], root[f])[model.segments],
+                observed[f] - model.joints_at(R[f], root[f])[model.segments],
             )
             for f in range(len(observed))
         ]
@@ -145,18 +147,9 @@ def _mean_places(model: BodyModel, observed: FloatArray, R: FloatArray, root: Fl
     return mean
 
 
-def _places(model: BodyModel, R: FloatArray, root: FloatArray) -> FloatArray:
-    return kernels.places(model.parents, model.offsets, R, root)
-
-
 def _summed_distance(model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray) -> float:
     """Return the distance summed over all markers and frames, mm."""
-    virtual = np.stack(
-        [
-            kernels.marker_places(model.segments, model.positions, R[f], _places(model, R[f], root[f]))
-            for f in range(len(observed))
-        ]
-    )
+    virtual = np.stack([model.markers_at(R[f], root[f]) for f in range(len(observed))])
     return float(np.nansum(np.linalg.norm(observed - virtual, axis=2)) * _MM)
 
 
@@ -181,7 +174,7 @@ def _smoothed(R: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def _nearest_log(vector: FloatArray, before: FloatArray) -> FloatArray:
-    """Of the rotation vectors of one rotation the one nearest the one before."""
+    """Return of the rotation vectors of one rotation the one nearest the one before; (3,) rad."""
     angle = float(np.linalg.norm(vector))
     if angle < 1e-9:
         return vector

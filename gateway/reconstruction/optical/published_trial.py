@@ -12,7 +12,6 @@ from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, SkeletonFrame, Status
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
 from gateway.reconstruction.optical.published import Progress, PublishedMotion, Trial, solve_published
 from gateway.reconstruction.optical.rates import Rates
@@ -41,7 +40,17 @@ class PublishedTrial:
             status = np.full(n, Status.PREDICTED if self.seen[f].any() else Status.HELD, dtype=np.uint8)
             status[self.motion.markers.segments[self.seen[f]]] = Status.MEASURED
             q_wb = np.stack([quaternion.from_matrix(each) for each in R])
-            yield SkeletonFrame(f, time_ns, q_wb, rate, acceleration, p, np.full(n, np.nan), status, 0)
+            yield SkeletonFrame(
+                sequence=f,
+                time_ns=time_ns,
+                q_wb=q_wb,
+                angular_rate=rate,
+                joint_acceleration=acceleration,
+                p_w=p,
+                sigma=np.full(n, np.nan),
+                status=status,
+                root=0,
+            )
 
 
 def published_trial(
@@ -73,12 +82,7 @@ def published_trial(
 
 
 def _explained(model: BodyModel, motion: PublishedMotion, observed: FloatArray) -> PublishedTrial:
-    p_w = np.stack(
-        [
-            kernels.places(model.parents, model.offsets, R, root)
-            for R, root in zip(motion.R, motion.root, strict=True)
-        ]
-    )
+    p_w = np.stack([model.joints_at(R, root) for R, root in zip(motion.R, motion.root, strict=True)])
     virtual = p_w[:, model.segments] + np.einsum("fmij,mj->fmi", motion.R[:, model.segments], model.positions)
     residuals: FloatArray = np.linalg.norm(observed - virtual, axis=2)
     seen: NDArray[np.bool_] = np.isfinite(residuals)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 
 from gateway.body.skeleton import BodyMarkers, Skeleton
-from gateway.frames import FloatArray, MarkerFit, MarkerFrame, SkeletonFrame, Status
+from gateway.frames import FloatArray, MarkerFit, MarkerFrame, SkeletonFrame, Status, unknown_pose
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.carrying import Carrying
 from gateway.reconstruction.optical.labelling import relabelled
 from gateway.reconstruction.optical.pose_solver import (
@@ -22,7 +22,7 @@ from gateway.reconstruction.optical.pose_solver import (
     orientation_sigmas,
     solve_pose,
 )
-from gateway.reconstruction.optical.rates import Rates
+from gateway.reconstruction.optical.rates import WINDOW, Rates
 from gateway.reconstruction.optical.tracking import ACCEPTED, NEAR, laid_anew, start_pose, turned_on
 
 _LONGEST, _AS_IT_IS = 15, 0  # steps
@@ -32,6 +32,8 @@ _LONGEST_PREDICTION_NS = 60_000_000
 _GOOD_SHARE = 0.5
 """Of the markers seen, that must be near their virtual ones for the body not to count as lost."""
 _SMALLEST_VARIANCE = 0.25
+_WARM_UP_INTERVAL_NS, _WARM_UP_MARKERS = 10_000_000, 4
+"""Between frames; on each segment."""
 
 
 Renamed = tuple[tuple[int, int], ...]
@@ -78,8 +80,7 @@ class OpticalReconstructor:
     def named(self, observation: MarkerFrame, R: FloatArray, root: FloatArray) -> Named:
         """Return the markers of an instant once names are put right that do not fit a pose (S, 3, 3), (3,)
         m."""
-        p = kernels.places(self.model.parents, self.model.offsets, R, root)
-        expected = kernels.marker_places(self.model.segments, self.model.positions, R, p)
+        expected = self.model.markers_at(R, root)
         found = relabelled(observation.positions, expected, self.model.sigmas, observation.unlabelled)
         renamed = () if found is None else found.renamed
         return _with_names(observation, renamed, expected), renamed
@@ -137,8 +138,9 @@ class OpticalReconstructor:
     def _questioned(self, frame: MarkerFrame, pose: Pose, renamed: Renamed) -> tuple[Pose, Renamed]:
         """Return the pose, and which markers had others' points, once names that do not fit it are
         put right."""
-        given = _with_names(frame, renamed, self._virtual(pose))
-        named = relabelled(given, self._virtual(pose), self.model.sigmas, frame.unlabelled)
+        virtual = self.model.markers_at(pose.R, pose.root)
+        given = _with_names(frame, renamed, virtual)
+        named = relabelled(given, virtual, self.model.sigmas, frame.unlabelled)
         if named is None:
             return pose, renamed
         self.counts["rejected"] += len(named.rejected)
@@ -149,7 +151,9 @@ class OpticalReconstructor:
         return self._solved(frame.time_ns, named.positions, pose.R, pose.root), tuple(sorted(both.items()))
 
     def _followed(self, frame: MarkerFrame) -> tuple[Pose | None, Renamed]:
-        """From the last pose, moved on as it was moving; no pose without one, or with too few markers.
+        """Return the pose found from the last one, moved on, and which markers had others' points.
+
+        None: there is no last pose, or there are too few markers.
 
         Names are questioned before the pose is sought: two markers that change places would else turn the
         segment that they sit on.
@@ -157,8 +161,7 @@ class OpticalReconstructor:
         if self._now is None or np.isfinite(frame.positions).all(axis=1).sum() < 3:
             return None, ()
         R, root = self._predicted(frame.time_ns)
-        p = kernels.places(self.model.parents, self.model.offsets, R, root)
-        expected = kernels.marker_places(self.model.segments, self.model.positions, R, p)
+        expected = self.model.markers_at(R, root)
         named = relabelled(frame.positions, expected, self.model.sigmas, frame.unlabelled)
         renamed = () if named is None else named.renamed
         given = _with_names(frame, renamed, expected)
@@ -183,19 +186,15 @@ class OpticalReconstructor:
         seen = everyone(np.ascontiguousarray(observed), NEAR)
         return solve_pose(self.model, seen, R, root, held, _LONGEST)
 
-    def _virtual(self, pose: Pose) -> FloatArray:
-        p = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
-        return kernels.marker_places(self.model.segments, self.model.positions, pose.R, p)
-
     def _explained(self, frame: MarkerFrame, pose: Pose, renamed: Renamed) -> MarkerFit:
-        virtual = self._virtual(pose)
+        virtual = self.model.markers_at(pose.R, pose.root)
         positions = _with_names(frame, renamed, virtual)
         residuals = np.linalg.norm(positions - virtual, axis=1)
         used = pose.weights > ACCEPTED
         return MarkerFit(positions, virtual, residuals, used, renamed, frame.unlabelled)
 
     def _frame(self, frame: MarkerFrame, pose: Pose) -> SkeletonFrame:
-        p_w = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
+        p_w = self.model.joints_at(pose.R, pose.root)
         rate, acceleration = self._rates.add(frame.time_ns, pose.R, p_w)
         used = pose.weights > ACCEPTED
         carried = np.zeros(self.skeleton.n_segments, dtype=bool)
@@ -214,24 +213,23 @@ class OpticalReconstructor:
         )
 
     def _variance(self, pose: Pose) -> float:
-        """Of the residuals, in units of the markers' own σ²."""
+        """Return the variance of the residuals, in units of the markers' own σ²."""
         squares = np.nan_to_num(pose.residuals / self.model.sigmas) ** 2
         freedom = max(3.0 * pose.weights.sum() - len(pose.factor), 0.3 * pose.weights.sum(), 1.0)
         return max(float((pose.weights * squares).sum() / freedom), _SMALLEST_VARIANCE)
 
     def _without_markers(self, frame: MarkerFrame) -> SkeletonFrame:
-        n = self.skeleton.n_segments
-        unknown = np.full((n, 3), np.nan)
-        q_wb, p_w, status = np.full((n, 4), np.nan), unknown.copy(), Status.MISSING
-        if self._now is not None:
-            pose = self._now[1]
-            q_wb = np.stack([quaternion.from_matrix(each) for each in pose.R])
-            p_w = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
-            status = Status.HELD
-        return SkeletonFrame(
-            frame.sequence, frame.time_ns, q_wb, unknown, unknown.copy(), p_w, np.full(n, np.nan),
-            np.full(n, status, dtype=np.uint8), 0,
-        )  # fmt: skip
+        """Return the last pose, held; before the first, one of which nothing is known."""
+        n, pose = self.skeleton.n_segments, self.pose
+        unknown = unknown_pose(n, frame.sequence, frame.time_ns)
+        if pose is None:
+            return unknown
+        return replace(
+            unknown,
+            q_wb=np.stack([quaternion.from_matrix(each) for each in pose.R]),
+            p_w=self.model.joints_at(pose.R, pose.root),
+            status=np.full(n, Status.HELD, np.uint8),
+        )
 
 
 def _with_names(frame: MarkerFrame, renamed: Renamed, virtual: FloatArray) -> FloatArray:
@@ -249,3 +247,24 @@ def _with_names(frame: MarkerFrame, renamed: Renamed, virtual: FloatArray) -> Fl
 def _is_good(pose: Pose, observed: FloatArray) -> bool:
     seen = np.isfinite(observed).all(axis=1).sum()
     return bool((pose.weights > ACCEPTED).sum() >= _GOOD_SHARE * seen)
+
+
+@functools.cache
+def warm_up() -> None:
+    """Compile what a stream of markers needs, before the first of them comes.
+
+    A chain of two segments is seen standing still until its angular rates are known.
+
+    Kernels are compiled for kinds of arrays, not for their sizes: any body has its own then. The first call
+    after an installation takes about 25 s, the first of a process under a second, others nothing.
+    """
+    offsets = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0]])
+    body = Skeleton("warm_up", ("upper", "lower"), np.array([-1, 0]), offsets, np.roll(offsets, -1, axis=0))
+    segments = np.repeat([0, 1], _WARM_UP_MARKERS)
+    places = np.random.default_rng(0).normal(0.0, 0.1, (len(segments), 3))
+    labels = tuple(f"m{i}" for i in range(len(segments)))
+    markers = BodyMarkers(labels, segments, places, np.full(len(segments), 0.005))
+    reconstructor = OpticalReconstructor(body, markers)
+    seen = places + offsets[segments]
+    for frame in range(WINDOW + 1):
+        reconstructor.update(MarkerFrame(frame, frame * _WARM_UP_INTERVAL_NS, seen))

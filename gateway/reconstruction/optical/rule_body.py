@@ -23,20 +23,20 @@ FIRST_SIGMA = 0.005
 
 
 @dataclass(frozen=True)
-class Sighting:
+class SightedTrial:
     """The markers of one trial in the world, and where rules find the segments."""
 
     name: str
     markers: FloatArray  # (F, M, 3) m, in the order of the marker set
     places: SegmentPlaces
 
-    def only(self, frames: IntArray) -> Sighting:
+    def only(self, frames: IntArray) -> SightedTrial:
         """Return some of its frames."""
-        return Sighting(self.name, self.markers[frames], self.places.only(frames))
+        return SightedTrial(self.name, self.markers[frames], self.places.only(frames))
 
 
 def from_rules(
-    marker_set: MarkerSet, sightings: Sequence[Sighting], vertical: str
+    marker_set: MarkerSet, sightings: Sequence[SightedTrial], vertical: str
 ) -> tuple[Skeleton, BodyMarkers]:
     """Return the body with the mean over all frames of every length and every marker's place.
 

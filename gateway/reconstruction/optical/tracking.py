@@ -99,13 +99,12 @@ def stands_along(model: BodyModel, observed: FloatArray, neutral: FloatArray) ->
     neutral: (3, 3) of every segment in the neutral posture, which tells how high each segment is.
     """
     n = len(model.parents)
-    heights = kernels.places(model.parents, model.offsets, np.tile(neutral, (n, 1, 1)), np.zeros(3))[:, 2]
+    heights = model.joints_at(np.tile(neutral, (n, 1, 1)), np.zeros(3))[:, 2]
     found = []
     for f in np.linspace(0, len(observed) - 1, min(len(observed), _LOOKS)).astype(np.int64).tolist():
         pose = start_pose(model, observed[f], neutral)
         if pose is not None:
-            p = kernels.places(model.parents, model.offsets, pose.R, pose.root)
-            along = (heights - heights.mean()) @ p
+            along = (heights - heights.mean()) @ model.joints_at(pose.R, pose.root)
             found.append(along / np.linalg.norm(along))
     return np.mean(found, axis=0) if found else None
 
@@ -147,7 +146,7 @@ def laid_anew(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose | None
     R, root = pose.R.copy(), pose.root
     is_laid = False
     for s in np.flatnonzero(strays).tolist():
-        joint = kernels.places(model.parents, model.offsets, R, root)[s]
+        joint = model.joints_at(R, root)[s]
         turn, shift, rest = _laid(model, observed, s, joint, R[s])
         if rest < (NEAR if own_seen[s] >= _ENOUGH else _CLOSE):
             is_laid = True
@@ -220,10 +219,8 @@ def _is_bent(model: BodyModel, row: int, pose: Pose) -> bool:
 
 
 def _settled(model: BodyModel, observed: FloatArray, R: FloatArray) -> Pose:
-    """From orientations (S, 3, 3), laid over the markers and then let loose."""
-    origin = np.zeros(3)
-    p = kernels.places(model.parents, model.offsets, R, origin)
-    turn, shift = rigid(kernels.marker_places(model.segments, model.positions, R, p), observed)
+    """Return the pose from orientations (S, 3, 3), laid over the markers (M, 3) m and then let loose."""
+    turn, shift = rigid(model.markers_at(R, np.zeros(3)), observed)
     R, root = turn @ R, shift
     for scale in _SCALES:
         pose = solve_pose(model, everyone(observed, scale), R, root, Held(R), _LONGEST)
@@ -247,9 +244,8 @@ def _middle_posture(model: BodyModel, neutral: FloatArray) -> FloatArray:
 def _price(model: BodyModel, observed: FloatArray, pose: Pose) -> float:
     """Return half the squared distances of all markers, none worse than ``_HOPELESS``, and what the joints
     cost."""
-    p = kernels.places(model.parents, model.offsets, pose.R, pose.root)
+    p = model.joints_at(pose.R, pose.root)
     joints = normal_equations(model, observed, np.zeros(len(observed)), pose.R, p)[2]
-    expected = kernels.marker_places(model.segments, model.positions, pose.R, p)
-    residuals = np.nan_to_num(np.linalg.norm(observed - expected, axis=1))
+    residuals = np.nan_to_num(np.linalg.norm(observed - model.markers_at(pose.R, pose.root), axis=1))
     apart = np.minimum(residuals, _HOPELESS) / model.sigmas
     return float(0.5 * (apart**2).sum() + joints)

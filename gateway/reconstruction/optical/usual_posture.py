@@ -13,8 +13,13 @@ from devices.deferred import Rotation
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.optical.motion_kernels import Posture, joint_turns
-from gateway.reconstruction.optical.pose_solver import BodyModel, Seen, marker_weights, normal_equations
+from gateway.reconstruction.optical.motion_kernels import UsualTurns, joint_turns
+from gateway.reconstruction.optical.pose_solver import (
+    BodyModel,
+    WeighedMarkers,
+    marker_weights,
+    normal_equations,
+)
 
 INDEPENDENT_S = 1.0
 """Time after which a posture counts as another one, s: about that in which a rate is forgotten. A gap of half
@@ -28,9 +33,11 @@ _UNSEEN = 1e-6
 """Added to the diagonal, 1/m² and 1/rad²."""
 
 
-def unknown_posture(n_segments: int, n_frames: int) -> Posture:
+def unknown_posture(n_segments: int, n_frames: int) -> UsualTurns:
     """Return a posture that draws nothing."""
-    return Posture(np.tile(np.eye(3), (n_segments, 1, 1)), np.zeros((n_segments, 3, 3)), np.zeros(n_frames))
+    return UsualTurns(
+        np.tile(np.eye(3), (n_segments, 1, 1)), np.zeros((n_segments, 3, 3)), np.zeros(n_frames)
+    )
 
 
 def usual_posture(
@@ -39,11 +46,11 @@ def usual_posture(
     observed: FloatArray,
     motion: tuple[FloatArray, FloatArray],
     scale: float,
-) -> Posture:
+) -> UsualTurns:
     """Return what joints do in a trial.
 
     observed: (F, M, 3) m, NaN where not seen; motion: R (F, S, 3, 3) and the root's places (F, 3) m, as far
-    as they are known; scale: m, as in ``Seen``.
+    as they are known; scale: m, as in ``WeighedMarkers``.
     """
     R, roots = motion
     chosen = np.arange(0, len(times_s), -(-len(times_s) // _MOST_FRAMES))
@@ -65,7 +72,7 @@ def usual_posture(
     postures = 1.0 + (times_s[-1] - times_s[0]) / INDEPENDENT_S
     precision[joints] = np.linalg.inv(_predicted(postures) * covariance)
     mean[joints] = mean[joints] @ Rotation.from_rotvec(centre).as_matrix()
-    return Posture(mean, precision, np.gradient(times_s) / INDEPENDENT_S)
+    return UsualTurns(mean, precision, np.gradient(times_s) / INDEPENDENT_S)
 
 
 def _predicted(n: float) -> float:
@@ -82,7 +89,7 @@ def _shown(
     """Return the normal matrix (3 + 3 S, 3 + 3 S) of a frame, turns in the segments' axes."""
     p = kernels.places(model.parents, model.offsets, R, root)
     y = kernels.marker_places(model.segments, model.positions, R, p)
-    robust_weights = marker_weights(model, Seen(observed, np.ones(len(observed)), scale), y)
+    robust_weights = marker_weights(model, WeighedMarkers(observed, np.ones(len(observed)), scale), y)
     H, _, _ = normal_equations(model, observed, robust_weights, R, p)
     kernels.mirrored(H)
     turned = np.eye(len(H))

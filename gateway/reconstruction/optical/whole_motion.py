@@ -17,8 +17,8 @@ from gateway.reconstruction.optical.motion_kernels import (
     REACH,
     Differences,
     Evidence,
-    Motion,
-    Posture,
+    MovingPoses,
+    UsualTurns,
     assembled,
     motion_cost,
     stepped,
@@ -66,7 +66,7 @@ def found_together(
     observed: FloatArray,
     begun: tuple[FloatArray, FloatArray],
     scales: tuple[float, ...],
-    posture: Posture,
+    posture: UsualTurns,
     done: Done | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return R (F, S, 3, 3) and the root's places (F, 3) m that explain all frames best, near those given.
@@ -77,7 +77,7 @@ def found_together(
     R, roots = begun[0].copy(), begun[1].copy()
     for first, end, kept in _windows(len(times_s)):
         fixed = max(0, first - REACH + 1)
-        motion = Motion(R[fixed:end], roots[fixed:end], first - fixed)
+        motion = MovingPoses(R[fixed:end], roots[fixed:end], first - fixed)
         differences = _differences(times_s[fixed:end], motion.free)
         for scale in scales:
             evidence = Evidence(
@@ -101,7 +101,7 @@ def _windows(n: int) -> Iterator[tuple[int, int, int]]:
         first = kept
 
 
-def _settled(evidence: Evidence, motion: Motion) -> Motion:
+def _settled(evidence: Evidence, motion: MovingPoses) -> MovingPoses:
     """Return the motion at the least cost.
 
     Steps are shortened where they do not lead down; damping would keep long gaps as they are, which change by

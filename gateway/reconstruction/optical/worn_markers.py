@@ -29,8 +29,8 @@ _PERSON_M = 0.25, 4.0
 
 
 @dataclass(frozen=True)
-class Dressed:
-    """Trials in the words of the part of a marker set that is in them."""
+class NamedTrials:
+    """Trials whose markers are called as in a marker set, and the part of the set that is in them."""
 
     marker_set: MarkerSet
     trials: tuple[MarkerTrial, ...]
@@ -46,7 +46,9 @@ class Dressed:
     """Frames in which a left marker had the name of the right one, by its name in the files."""
 
 
-def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str | None = None) -> Dressed:
+def named_trials(
+    marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str | None = None
+) -> NamedTrials:
     """Return trials with their markers called as in the set, and the set without what is in none of them.
 
     person: as in ``spelt``. Raises ``FormatError`` as that does, ``GatewayError`` for a trial without any
@@ -75,7 +77,7 @@ def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str
     strangers = tuple(
         name for name in own_names if name not in {*names.values()} and not name.startswith("*")
     )
-    return Dressed(worn, tuple(called), names, left_out, dict(ghosts), strangers, dict(exchanged))
+    return NamedTrials(worn, tuple(called), names, left_out, dict(ghosts), strangers, dict(exchanged))
 
 
 def worn_part(marker_set: MarkerSet, labels: Collection[str], without: Collection[str] = ()) -> MarkerSet:
@@ -110,7 +112,7 @@ def worn_part(marker_set: MarkerSet, labels: Collection[str], without: Collectio
 
 
 def _first_worn(marker_set: MarkerSet, point: str, labels: Collection[str]) -> list[PointRule]:
-    """Of the rules of a point those that rest on the markers of the first whose markers are worn.
+    """Return the rules of a point that rest on the markers of the first rule whose markers are worn.
 
     A landmark that one trial alone shows (a medial marker in the static trial) so holds for all: another rule
     would put the joint elsewhere in the others.

@@ -67,13 +67,6 @@ def video_body(skeleton: Skeleton, markers: BodyMarkers) -> VideoBody:
 
 
 @compiled
-def keypoint_places(model: BodyModel, R: FloatArray, root: FloatArray) -> FloatArray:
-    """Forward kinematics: where the body has its keypoints, (n_keypoints, 3) m."""
-    p = kernels.places(model.parents, model.offsets, R, root)
-    return kernels.marker_places(model.segments, model.positions, R, p)
-
-
-@compiled
 def solve(body: VideoBody, goal: Goal, R: FloatArray, root: FloatArray, longest: int) -> VideoBodyPose:
     """Return the pose near (R, root) that brings keypoints to their targets. longest: most steps."""
     H, g, cost = _equations(body, goal, R, root)
@@ -113,7 +106,8 @@ def orientation_sigmas(
     (n_keypoints,), 0: not seen; stiffness: as of ``solve``, all that is known of what is not seen.
     """
     model = body.model
-    places = keypoint_places(model, pose.R, pose.root)
+    joints = kernels.places(model.parents, model.offsets, pose.R, pose.root)
+    places = kernels.marker_places(model.segments, model.positions, pose.R, joints)
     goal = Goal(places, weights, Held(pose.R, stiffness, pose.root, 0.0, 0.0), -np.inf)
     H, _, _ = _equations(body, goal, pose.R, pose.root)
     T = turn_matrix(body.freedom, model.parents, pose.R)

@@ -51,7 +51,7 @@ class KeypointSet:
     """(n_keypoints, n_segments) whose orientation a keypoint tells."""
 
     def index(self, keypoint: str) -> int:
-        """Row of a keypoint by name. Raises ``ValueError`` for an unknown one."""
+        """Return the row of a keypoint by name. Raises ``ValueError`` for an unknown one."""
         return self.names.index(keypoint)
 
 

@@ -32,7 +32,7 @@ class Leading:
     """Makes the orders for the cameras of a capture."""
 
     def __init__(self, cameras: Sequence[Camera], names: Sequence[str], pairs: Pairs = ()) -> None:
-        """names: of the keypoints. pairs: whose pictures may be put together."""
+        """Lead cameras. names: of the keypoints. pairs: cameras whose pictures may be put together."""
         self._cameras, self._names = cameras, names
         self._partner = dict(pairs) | {b: a for a, b in pairs}
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.body.camera import Camera
-from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame
+from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame, unknown_pose
 from gateway.reconstruction.video.inverse_kinematics import VideoBodyPose
 from gateway.reconstruction.video.keypoint_set import KeypointSet
-from gateway.reconstruction.video.posing import SmoothedPoses, no_frame, skeleton_frame, statuses
+from gateway.reconstruction.video.posing import PoseSmoother, skeleton_frame, statuses
 from gateway.reconstruction.video.tracker import KeypointTracker, Sighting, VideoOptions
 
 BRIDGED_WEIGHT = 0.2
@@ -51,7 +51,7 @@ def reconstruct_recorded(
     tracker.reset()
     backward = _run(tracker, frames, advanced, backwards=True)
     merged = _merged(forward, backward)
-    smoothed = SmoothedPoses()
+    smoothed = PoseSmoother()
     poses: list[SkeletonFrame] = []
     for f, sighting in enumerate(merged):
         tracker.pose = forward.poses[f] or backward.poses[f]
@@ -59,7 +59,7 @@ def reconstruct_recorded(
         if tracker.pose is None:
             poses += smoothed.rest(tracker.body, tracker.floor)
             smoothed.reset()
-            poses.append(no_frame(frame.sequence, frame.time_ns, tracker.person.skeleton.n_segments))
+            poses.append(unknown_pose(tracker.person.skeleton.n_segments, frame.sequence, frame.time_ns))
             continue
         tracker.solve(sighting)
         newest = skeleton_frame(

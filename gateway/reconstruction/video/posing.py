@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.frames import FloatArray, SkeletonFrame, Status
+from gateway.frames import FloatArray, SkeletonFrame, Status, unknown_pose
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Held
 from gateway.reconstruction.optical.rates import Rates
 from gateway.reconstruction.video.inverse_kinematics import (
     Goal,
     VideoBody,
     VideoBodyPose,
-    keypoint_places,
     solve,
 )
 from gateway.reconstruction.video.low_pass import DELAY, LowPass
@@ -29,22 +28,13 @@ def skeleton_frame(
     status: NDArray[np.uint8],
 ) -> SkeletonFrame:  # fmt: skip
     """Return a pose as it is; rates and accelerations are not known (NaN). sigma: (S,) rad."""
-    n = len(body.model.parents)
-    unknown = np.full((n, 3), np.nan)
-    return SkeletonFrame(
-        sequence, time_ns, np.stack([quaternion.from_matrix(each) for each in pose.R]), unknown,
-        unknown.copy(), kernels.places(body.model.parents, body.model.offsets, pose.R, pose.root),
-        sigma, status, 0,
-    )  # fmt: skip
-
-
-def no_frame(sequence: int, time_ns: int, n_segments: int) -> SkeletonFrame:
-    """Return the frame of an instant at which nobody was found."""
-    unknown = np.full((n_segments, 3), np.nan)
-    return SkeletonFrame(
-        sequence, time_ns, np.full((n_segments, 4), np.nan), unknown, unknown.copy(), unknown.copy(),
-        np.full(n_segments, np.nan), np.full(n_segments, Status.MISSING, dtype=np.uint8), 0,
-    )  # fmt: skip
+    return replace(
+        unknown_pose(len(body.model.parents), sequence, time_ns),
+        q_wb=np.stack([quaternion.from_matrix(each) for each in pose.R]),
+        p_w=body.model.joints_at(pose.R, pose.root),
+        sigma=sigma,
+        status=status,
+    )
 
 
 def statuses(shows: NDArray[np.bool_], lost: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -59,7 +49,7 @@ def statuses(shows: NDArray[np.bool_], lost: NDArray[np.bool_]) -> NDArray[np.ui
     return np.where(shown, Status.MEASURED, Status.PREDICTED).astype(np.uint8)
 
 
-class SmoothedPoses:
+class PoseSmoother:
     """Keypoints of the body through the low-pass, then inverse kinematics with uniform weights."""
 
     def __init__(self) -> None:
@@ -77,7 +67,7 @@ class SmoothedPoses:
         self, newest: SkeletonFrame, body: VideoBody, pose: VideoBodyPose, floor: float
     ) -> SkeletonFrame | None:
         """Return the smoothed frame of ``DELAY`` poses before; None until there are as many."""
-        targets = self._low_pass.add(keypoint_places(body.model, pose.R, pose.root))
+        targets = self._low_pass.add(body.model.markers_at(pose.R, pose.root))
         self._waiting.append((newest, pose))
         if len(self._waiting) <= DELAY:
             return None
@@ -89,7 +79,7 @@ class SmoothedPoses:
         if not self._waiting:
             return []
         last = self._waiting[-1][1]
-        places = keypoint_places(body.model, last.R, last.root)
+        places = body.model.markers_at(last.R, last.root)
         for _ in range(DELAY - len(self._waiting)):
             self._low_pass.add(places)
         if len(self._waiting) > DELAY:
@@ -104,9 +94,17 @@ class SmoothedPoses:
         frame, pose = self._waiting[0]
         goal = Goal(targets, np.ones(len(targets)), Held(pose.R, HELD_SIGMA**-2), floor)
         smooth = solve(body, goal, pose.R, pose.root, _STEPS)
-        p_w = kernels.places(body.model.parents, body.model.offsets, smooth.R, smooth.root)
+        p_w = body.model.joints_at(smooth.R, smooth.root)
         rate, acceleration = self._rates.add(frame.time_ns, smooth.R, p_w)
         q_wb = np.stack([quaternion.from_matrix(each) for each in smooth.R])
         return SkeletonFrame(
-            frame.sequence, frame.time_ns, q_wb, rate, acceleration, p_w, frame.sigma, frame.status, 0
+            sequence=frame.sequence,
+            time_ns=frame.time_ns,
+            q_wb=q_wb,
+            angular_rate=rate,
+            joint_acceleration=acceleration,
+            p_w=p_w,
+            sigma=frame.sigma,
+            status=frame.status,
+            root=0,
         )

@@ -13,7 +13,7 @@ import numpy as np
 from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
-from gateway.reconstruction.video.inverse_kinematics import keypoint_places, video_body
+from gateway.reconstruction.video.inverse_kinematics import video_body
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 
 _SIDES = ("left", "right")
@@ -59,7 +59,7 @@ def standard_lengths(keypoints: KeypointSet) -> FloatArray:
     """Return the same of the standard skeleton in neutral posture."""
     body = video_body(keypoints.skeleton, keypoints.markers)
     R = np.tile(quaternion.to_matrix(keypoints.skeleton.neutral), (keypoints.skeleton.n_segments, 1, 1))
-    return part_lengths(keypoints, keypoint_places(body.model, R, np.zeros(3)))
+    return part_lengths(keypoints, body.model.markers_at(R, np.zeros(3)))
 
 
 def sized(keypoints: KeypointSet, lengths: FloatArray) -> tuple[Skeleton, BodyMarkers]:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from gateway.body.body_file import WorldSettings, worn_without_modules
 from gateway.body.camera import Camera
 from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
-from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame
+from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame, unknown_pose
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
 from gateway.reconstruction.video.networks.weights import keypoint_set_of
-from gateway.reconstruction.video.posing import SmoothedPoses, no_frame, skeleton_frame, statuses
+from gateway.reconstruction.video.posing import PoseSmoother, skeleton_frame, statuses
 from gateway.reconstruction.video.region import PersonRegion, person_region
 from gateway.reconstruction.video.tracker import KeypointTracker, VideoOptions
 
@@ -76,7 +76,7 @@ class VideoReconstructor:
         self.tracker = KeypointTracker(cameras, keypoints, options or VideoOptions())
         self.sequence = -1
         """Of the last instant; -1: there was none."""
-        self._smoothed = SmoothedPoses()
+        self._smoothed = PoseSmoother()
         self._lost = np.zeros(len(keypoints.names), dtype=bool)
 
     def reset(self) -> None:
@@ -132,10 +132,16 @@ class VideoReconstructor:
         unknown = np.full((n, 3), np.nan)
         self._lost = np.zeros(n, dtype=bool)
         return VideoPose(
-            frame.sequence, frame.time_ns,
-            no_frame(frame.sequence, frame.time_ns, self.skeleton.n_segments), None, unknown, unknown.copy(),
-            np.zeros(n), np.full(n, Tracking.LOST, dtype=np.uint8), tuple(None for _ in self.cameras),
-        )  # fmt: skip
+            sequence=frame.sequence,
+            time_ns=frame.time_ns,
+            newest=unknown_pose(self.skeleton.n_segments, frame.sequence, frame.time_ns),
+            skeleton=None,
+            candidates=unknown,
+            keypoints=unknown.copy(),
+            likelihood=np.zeros(n),
+            tracking=np.full(n, Tracking.LOST, dtype=np.uint8),
+            regions=tuple(None for _ in self.cameras),
+        )
 
 
 def worn_person(person: KeypointSet, video: VideoSetUp) -> WornSuit:

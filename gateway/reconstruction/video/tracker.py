@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from gateway.body.camera import Camera
 from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Held
 from gateway.reconstruction.optical.tracking import rigid
 from gateway.reconstruction.video import initial, lattice, one_camera
@@ -19,7 +18,6 @@ from gateway.reconstruction.video.inverse_kinematics import (
     Goal,
     VideoBody,
     VideoBodyPose,
-    keypoint_places,
     orientation_sigmas,
     solve,
     video_body,
@@ -125,13 +123,13 @@ class KeypointTracker:
     def places(self) -> FloatArray:
         """(n_keypoints, 3) m, where the body has its keypoints. Only with a pose."""
         assert self.pose is not None
-        return keypoint_places(self.body.model, self.pose.R, self.pose.root)
+        return self.body.model.markers_at(self.pose.R, self.pose.root)
 
     @property
     def joints(self) -> FloatArray:
         """(S, 3) m, of every segment the proximal one. Only with a pose."""
         assert self.pose is not None
-        return kernels.places(self.body.model.parents, self.body.model.offsets, self.pose.R, self.pose.root)
+        return self.body.model.joints_at(self.pose.R, self.pose.root)
 
     @property
     def lost(self) -> float:
@@ -169,7 +167,7 @@ class KeypointTracker:
         return sighting
 
     def solve(self, sighting: Sighting, steps: int = _STEPS) -> None:
-        """Inverse kinematics from the last pose, which what is not seen is drawn to."""
+        """Find the pose by inverse kinematics from the last one, which what is not seen is drawn to."""
         assert self.pose is not None
         held = Held(self.pose.R, HELD_SIGMA**-2)
         goal = Goal(sighting.candidates, np.where(sighting.lost, 0.0, sighting.likelihood), held, self.floor)
@@ -239,7 +237,7 @@ class KeypointTracker:
             self.floor = -np.inf
         skeleton = self.person.skeleton
         neutral = np.tile(quaternion.to_matrix(skeleton.neutral), (skeleton.n_segments, 1, 1))
-        standing = keypoint_places(self.body.model, neutral, np.zeros(3))
+        standing = self.body.model.markers_at(neutral, np.zeros(3))
         turn, shift = rigid(standing[self._trunk], points[self._trunk])
         self.pose = VideoBodyPose(turn @ neutral, shift, 0)
         self.solve(Sighting(points, np.ones(len(points))), _FIRST_STEPS)

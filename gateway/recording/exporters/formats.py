@@ -27,7 +27,7 @@ class Axes(StrEnum):
 
 
 @dataclass(frozen=True)
-class Format:
+class ExportFormat:
     """How a take becomes a file."""
 
     suffix: str
@@ -72,24 +72,26 @@ def _writer(name: str) -> Deferred:
     return Deferred(f"{__package__}.{module}", function)
 
 
-FORMATS: dict[str, Format] = {
-    "bvh": Format(
+FORMATS: dict[str, ExportFormat] = {
+    "bvh": ExportFormat(
         ".bvh", "skeleton with joint rotations, for animation", Axes.Y_UP, 100.0, _writer("bvh.write")
     ),
-    "c3d": Format(".c3d", "joint centres, rotations, joint angles", Axes.Z_UP, 1000.0, _writer("c3d.write")),
-    "sto": Format(
+    "c3d": ExportFormat(
+        ".c3d", "joint centres, rotations, joint angles", Axes.Z_UP, 1000.0, _writer("c3d.write")
+    ),
+    "sto": ExportFormat(
         ".sto", "orientations for OpenSim (OpenSense)", Axes.Y_UP, 1.0, _writer("opensim.write_sto")
     ),
-    "mot": Format(".mot", "joint angles for OpenSim", Axes.Y_UP, 1.0, _writer("opensim.write_mot")),
-    "osim": Format(
+    "mot": ExportFormat(".mot", "joint angles for OpenSim", Axes.Y_UP, 1.0, _writer("opensim.write_mot")),
+    "osim": ExportFormat(
         ".osim", "the body as a model of OpenSim", Axes.Y_UP, 1.0, _writer("opensim_model.write_osim")
     ),
-    "trc": Format(".trc", "joint centres as markers", Axes.Y_UP, 1000.0, _writer("trc.write")),
-    "csv": Format(".csv", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_csv")),
-    "parquet": Format(
+    "trc": ExportFormat(".trc", "joint centres as markers", Axes.Y_UP, 1000.0, _writer("trc.write")),
+    "csv": ExportFormat(".csv", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_csv")),
+    "parquet": ExportFormat(
         ".parquet", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_parquet"), "pyarrow"
     ),
-    "gltf": Format(
+    "gltf": ExportFormat(
         ".glb",
         "animated skeleton, for browsers and 3-D programs",
         Axes.Y_UP,
@@ -97,7 +99,7 @@ FORMATS: dict[str, Format] = {
         _writer("gltf.write"),
         "pygltflib",
     ),
-    "ros2": Format(
+    "ros2": ExportFormat(
         ".ros2.mcap",
         "bag of ROS 2: transforms, joints, modules",
         Axes.Z_UP,
@@ -106,7 +108,7 @@ FORMATS: dict[str, Format] = {
         follows="REP 103",
         as_recorded=True,
     ),
-    "foxglove": Format(
+    "foxglove": ExportFormat(
         ".foxglove.mcap",
         "body and joint angles for Foxglove",
         Axes.Z_UP,

@@ -85,7 +85,7 @@ class _Document:
         self._gltf.scene = 0
 
     def add_animation(self, take: Take, units_per_m: float) -> None:
-        """Local rotations of all segments, and where the root is."""
+        """Add the local rotations of all segments, and where the root is."""
         library = self._library
         animation = library.Animation(name=take.name)
         times = self._accessor(take.time_s.astype(np.float32)[:, None], _FLOAT, "SCALAR", has_bounds=True)

@@ -18,7 +18,7 @@ from gateway.recording.reading import Recording
 from gateway.recording.solving import recorded_setup, recording_pipeline
 
 
-class Pose(NamedTuple):
+class TakePose(NamedTuple):
     """One recorded pose."""
 
     time_ns: int
@@ -77,11 +77,11 @@ class MessageFile:
                 self._writer.finish()  # type: ignore[no-untyped-call]
 
 
-def poses_of(take: Take) -> Iterator[Pose]:
+def poses_of(take: Take) -> Iterator[TakePose]:
     """Yield poses at the instants that were recorded; nothing is interpolated."""
     recorded = take.recorded
     rows = zip(recorded.time_ns.tolist(), recorded.q_wb, recorded.p_w, strict=True)
-    return (Pose(time_ns, q_wb, p_w) for time_ns, q_wb, p_w in rows)
+    return (TakePose(time_ns, q_wb, p_w) for time_ns, q_wb, p_w in rows)
 
 
 def samples_of(recording: Recording) -> Iterator[ModuleSample]:

@@ -76,7 +76,7 @@ class TakenMarkers(NamedTuple):
 
 
 def markers_of(take: Take) -> TakenMarkers | None:
-    """None for poses that were made of something else. Nothing is interpolated."""
+    """Return the markers of a take, not interpolated; None for poses that were made of something else."""
     found = take.recorded.markers
     if found is None:
         return None

@@ -10,7 +10,7 @@ pytest.importorskip("mujoco")
 from devices.marker_files.force_plates import ForcePlate, ForcePlates
 from gateway.analysis.analysing import MeasuredForces, analyse_motion
 from gateway.analysis.contact import ContactSettings, estimated_floor, smooth_split
-from gateway.analysis.floor import Source, feet
+from gateway.analysis.floor import ForceSource, feet
 from gateway.analysis.inverse_dynamics import inverse_dynamics
 from gateway.analysis.plates import measured_floor
 from gateway.analysis.smooth_motion import smooth_motion
@@ -40,7 +40,7 @@ def test_standing_still_each_foot_takes_half_the_weight():
     floor = estimated_floor(motion, free)
     assert floor.total()[:, 2] == pytest.approx(WEIGHT, rel=1e-3)
     assert floor.force[:, :, 2] == pytest.approx(WEIGHT / 2, rel=1e-2)
-    assert (floor.source == Source.ESTIMATED).all()
+    assert (floor.source == ForceSource.ESTIMATED).all()
     with_floor = inverse_dynamics(motion, INERTIA, GRAVITY, floor)
     assert np.abs(with_floor.residual_force).max() < 1e-3 * WEIGHT
     assert np.abs(with_floor.residual_moment).max() < 0.5
@@ -102,7 +102,7 @@ def test_a_plate_belongs_to_the_foot_over_it(foot, across):
     floor = measured_floor(plates, "z", motion, free, None)
     c = feet(BODY).tolist().index(NAMES.index(foot))
     assert floor.force[20, c] == pytest.approx([5, 0, 400])
-    assert floor.source[20, c] == Source.MEASURED
+    assert floor.source[20, c] == ForceSource.MEASURED
     assert not floor.source[:, 1 - c].any()
     assert floor.centre_of_pressure()[20, c] == pytest.approx([0.05, across, 0.0], abs=1e-9)
     assert not floor.notes
@@ -139,7 +139,7 @@ def test_plates_of_a_stair_have_their_own_heights_and_nothing_is_estimated_besid
     assert floor.centre_of_pressure()[20, c] == pytest.approx([0.05, 0.167, 0.2], abs=1e-9)
     assert "different heights" in floor.notes[0]
     found = analyse_motion(motion, "stair", INERTIA, GRAVITY, MeasuredForces(plates, "z"))
-    assert not (found.floor.source == Source.ESTIMATED).any()
+    assert not (found.floor.source == ForceSource.ESTIMATED).any()
 
 
 def test_a_foot_beside_its_plate_is_told():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gateway.analysis.cycles import PERCENT, cycles, foot_of, normal_band, stance_spans, strides
-from gateway.analysis.floor import FloorForces, Source
+from gateway.analysis.floor import FloorForces, ForceSource
 from gateway.body.body_file import load_body
 
 BODY = load_body("human_17")
@@ -18,11 +18,11 @@ def _floor(*loads: list[tuple[int, int]], force_n: float = 700.0, beside_n: floa
     """Loads over frames, by foot; beside_n: what an estimate leaves on a foot in the air."""
     force, source = np.zeros((400, 2, 3)), np.zeros((400, 2), dtype=np.uint8)
     if beside_n:
-        force[..., 2], source[...] = beside_n, Source.ESTIMATED
+        force[..., 2], source[...] = beside_n, ForceSource.ESTIMATED
     for c, spans in enumerate(loads):
         for first, last in spans:
             force[first : last + 1, c, 2] = force_n
-            source[first : last + 1, c] = Source.ESTIMATED if beside_n else Source.MEASURED
+            source[first : last + 1, c] = ForceSource.ESTIMATED if beside_n else ForceSource.MEASURED
     return FloorForces(FEET, force, np.zeros_like(force), source, np.zeros((400, 2)))
 
 

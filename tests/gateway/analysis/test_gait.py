@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.analysis.floor import FloorForces, Source
+from gateway.analysis.floor import FloorForces, ForceSource
 from gateway.analysis.gait import gait_events
 from gateway.body.body_file import load_body
 
@@ -21,10 +21,10 @@ def _floor(
     for c, spans in enumerate(loads):
         for first, last in spans:
             force[first : last + 1, c, 2] = 700.0
-            source[first : last + 1, c] = Source.MEASURED
+            source[first : last + 1, c] = ForceSource.MEASURED
     for c, spans in enumerate(unknown or [[], []]):
         for first, last in spans:
-            source[first : last + 1, c] = Source.UNKNOWN
+            source[first : last + 1, c] = ForceSource.UNKNOWN
     return FloorForces(FEET, force, np.zeros_like(force), source, np.zeros((300, 2)))
 
 

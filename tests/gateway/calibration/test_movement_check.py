@@ -8,7 +8,8 @@ import pytest
 from devices.calibration_script import timetable
 from devices.emulators.motion.calibrating import calibration_motion
 from gateway.body.rig import load_rig
-from gateway.calibration.movement_check import MOVEMENTS, MovementCheck, Verdict
+from gateway.calibration.movement_check import MOVEMENTS, MovementCheck
+from gateway.calibration.movement_check import MovementVerdict as Verdict
 from gateway.emulation.rig import dress
 from gateway.geometry import quaternion
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gateway.calibration.quality import Finding, graded, judged
+from gateway.calibration.quality import QualityAspect, graded, judged
 from gateway.calibration.rest import RestDetector
 from gateway.calibration.sensors import (
     accelerometer_ellipsoid,
@@ -165,9 +165,9 @@ def test_a_disturbed_field_is_not_good():
 
 
 def test_the_worst_finding_counts():
-    quality = judged(Finding(0.9, "fine"), Finding(0.2, "bad"), Finding(0.6, "so so"))
+    quality = judged(QualityAspect(0.9, "fine"), QualityAspect(0.2, "bad"), QualityAspect(0.6, "so so"))
     assert (quality.score, quality.verdict, quality.reasons) == (0.2, "poor", ("bad", "so so"))
-    assert judged(Finding(0.8, "fine")).reasons == ()
+    assert judged(QualityAspect(0.8, "fine")).reasons == ()
 
 
 @pytest.mark.parametrize(("good", "bad"), [(0.03, 0.2), (3.0, 0.5), (0.75, 0.2)])

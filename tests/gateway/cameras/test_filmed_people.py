@@ -34,7 +34,7 @@ def late():
     ]
     filmed = FilmedPeople(VIDEO, RATE_HZ)
     filmed.taken = LATE + N - 1
-    filmed.add(CrowdInstant({}, {1: shown}, {}, {}, [], b""))
+    filmed.add(CrowdInstant(messages={}, orders=b"", before={1: shown}))
     (messages,) = filmed.people
     assert len(messages) == LATE + N
     return messages

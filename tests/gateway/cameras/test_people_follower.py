@@ -9,7 +9,7 @@ import pytest
 from devices.cameras.heat_map_messages import FOUND_BY_CAMERA, HeatMapReceiver
 from devices.cameras.orders import CameraOrders, Joined, encode_orders, read_orders
 from gateway.cameras.camera_process import CameraTask, messages_of
-from gateway.cameras.people_follower import FollowingCameras, PeopleFollower
+from gateway.cameras.people_follower import FollowingCameras, follower_of
 from gateway.cameras.serving import Outlet
 from gateway.emulation.video_truth import ring_of_cameras, true_regions, walking
 from gateway.frames import CameraHeatMaps
@@ -30,7 +30,7 @@ def people():
 
 def follower(most):
     scene = Scene(CAMERA, KEYPOINTS)
-    return PeopleFollower(scene, scene, most)
+    return follower_of(scene, scene, most)
 
 
 def squares_of(people):

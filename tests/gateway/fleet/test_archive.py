@@ -237,13 +237,13 @@ def test_solved_again_it_goes_on_and_gives_the_same_bytes_though_a_worker_is_kil
         path = CAPTURES / f"{name}.mcap"
         archive.add(open_recording(path), path, "ward2", name)
     jobs = solving.jobs_of(archive, "independent")
-    outcomes: list[solving.Solved] = []
+    outcomes: list[solving.SolvedRecording] = []
     solving.run(jobs, outcomes.append)
     assert [each.error for each in outcomes] == [None] * len(names)
     first = solved_bytes(archive)
     assert len(first) == len(names)
 
-    again: list[solving.Solved] = []
+    again: list[solving.SolvedRecording] = []
     solving.run(jobs, again.append)
     assert all(each.was_there for each in again)
 
@@ -261,7 +261,7 @@ def test_solved_again_it_goes_on_and_gives_the_same_bytes_though_a_worker_is_kil
 
     killer = threading.Thread(target=kill_one)
     killer.start()
-    third: list[solving.Solved] = []
+    third: list[solving.SolvedRecording] = []
     solving.run(jobs, third.append, workers=2)
     killer.join()
     assert [each.error for each in third] == [None] * len(names)

@@ -17,7 +17,7 @@ import pytest
 from gateway.contract.messages import BridgeHealth, BridgeInfo, OutputCounters, UtcAnchor
 from gateway.errors import GatewayError
 from gateway.fleet import cluster as clusters
-from gateway.fleet.overview import Fleet, Row, as_plain, listener, take_into
+from gateway.fleet.overview import Fleet, OverviewRow, as_plain, listener, take_into
 from gateway.fleet.page import Bodies, OverviewServer
 from gateway.outputs.connection import broker_connection, unique_identifier
 from gateway.outputs.mqtt import MqttOutput
@@ -68,7 +68,7 @@ class Heard:
         self.say(f"{gateway}/bridge/state", b'{"state":"online"}', True)
         self.say(f"{gateway}/bridge/info", info.payload(), True)
 
-    def row(self, which: int = 0) -> Row:
+    def row(self, which: int = 0) -> OverviewRow:
         return self.fleet.rows(self.now_s)[which]
 
 

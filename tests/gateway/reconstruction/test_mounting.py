@@ -156,19 +156,18 @@ def test_no_false_alarm_on_a_real_pendulum(recording_set):
 )
 def test_the_best_explanation_is_that_of_trying_all_one_by_one(suit, walk, worn_wrong):
     reconstructor, _ = solved(worn_wrong(walk, suit)[:900], suit)
-    joints, worn, agreement = reconstructor._joints, reconstructor._worn, reconstructor._memory.agreement
-    n = suit.skeleton.n_segments
-    now = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1)))
-    asked = mounting._asked(joints, agreement, worn, now)
+    memory, rig = reconstructor._memory, reconstructor._mounting
+    measured = mounting.JointProducts(reconstructor._joints.sides, memory.agreement.pairs)
+    judgement = mounting._Judgement(measured, rig, memory.mounting)
     best = Found(0.0, mounting.NOBODY, mounting.NOBODY, 0)
-    for s, o in itertools.combinations_with_replacement(np.flatnonzero(worn.is_known).tolist(), 2):
-        for turn in range(len(worn.turns) if s == o else 1):
-            other = Arrangement(now.place.copy(), now.turn.copy())
-            mounting._apply(worn, other, Found(0.0, s, o, turn))
-            gain = float(mounting._gains(joints, agreement, other, asked, s, o)[0])
+    for s, o in itertools.combinations_with_replacement(np.flatnonzero(rig.is_known).tolist(), 2):
+        for turn in range(len(rig.turns) if s == o else 1):
+            other = Arrangement(judgement._now.place.copy(), judgement._now.turn.copy())
+            mounting._apply(rig, other, Found(0.0, s, o, turn))
+            gain = judgement._gain(other, s, o)
             if gain > best.gain:
                 best = Found(gain, s, o, turn)
-    found = mounting._best(joints, agreement, worn, now, asked, set())
+    found = judgement.best()
     assert found.gain == pytest.approx(best.gain, rel=1e-9)
     assert found[1:] == best[1:]
     assert found.gain > mounting.GAIN

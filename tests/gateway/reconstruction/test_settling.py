@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gateway.reconstruction.inertial.module_filter import (
-    Before,
+    BeforeSilence,
     after_gap,
     no_motion_statistics,
     note,
@@ -32,7 +32,7 @@ def angle_deg(q, rotation):
 
 
 def before(q_wi, sigma, field_norm=49.0, swing=0.0):
-    return Before(wxyz(q_wi), sigma, swing, field_norm, DIP, G)
+    return BeforeSilence(wxyz(q_wi), sigma, swing, field_norm, DIP, G)
 
 
 def settled(known, forces, fields):

@@ -14,7 +14,7 @@ from devices.marker_files import read_markers
 from gateway.body.camera import project
 from gateway.calibration.cameras_file import load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
-from gateway.cameras.people_follower import PeopleFollower
+from gateway.cameras.people_follower import follower_of
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
 from gateway.reconstruction.video.networks.weights import load_network
@@ -96,7 +96,7 @@ def test_peaks_of_a_mirrored_picture_are_the_mirrored_peaks(name, picture, regio
 
 
 def test_a_person_is_followed_and_found_again(picture):
-    follower = PeopleFollower(network("lite"), PersonDetector(2), 1)
+    follower = follower_of(network("lite"), PersonDetector(2), 1)
     assert follower.heat_maps(np.zeros_like(picture)) == {}
     maps = follower.heat_maps(picture)[0]
     assert maps is not None

@@ -20,7 +20,7 @@ from gateway.contract.ros_messages import BodyTransforms
 from gateway.emulation.rig import dress, move
 from gateway.pipeline import Pipeline
 from gateway.recording.files import Contents, SessionFiles
-from gateway.recording.recorder import Recorder, Sink
+from gateway.recording.recorder import Recorder, RecordingSink
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings, RecordingSettings
 from gateway.sources.link_settings import LinkSettings
@@ -60,7 +60,7 @@ def record(tmp_path: Path, arm_chunks: list[Chunk]) -> Callable[..., Path]:
         contents = Contents(framings, attachments_of(whole, suit), "1.2.3", from_start)
         files = SessionFiles(kept, contents, name)
         path = files.path
-        sink = Sink(files.write, files.flush, files.close, files.abandon)
+        sink = RecordingSink(files.write, files.flush, files.close, files.abandon)
         transforms = BodyTransforms(suit.skeleton)
         recorder = Recorder(sink, kept.flush_ms * 1e-3, transforms=transforms)
         pipeline = Pipeline.from_settings(whole, suit)

@@ -14,7 +14,7 @@ import time
 import psutil
 import pytest
 
-from gateway.batch.job import Job, Outcome, Task, perform
+from gateway.batch.job import Job, JobResult, Task, perform
 from gateway.batch.manifest import Manifest
 from gateway.batch.running import _interrupts_for_this_process, jobs_in, run_jobs
 from gateway.errors import GatewayError
@@ -164,7 +164,7 @@ def test_a_worker_that_dies_costs_its_own_recording_only(sessions, tmp_path):
     task = Task(("sto",))
     jobs = jobs_in(sessions / "monday", tmp_path / "out", task)
     deadly = _Deadly("deadly.mcap", sessions / "deadly.mcap", tmp_path / "out", task)
-    outcomes: dict[str, Outcome] = {}
+    outcomes: dict[str, JobResult] = {}
     run_jobs([deadly, *jobs], lambda job, outcome: outcomes.update({job.name: outcome}), workers=1)
     assert outcomes["deadly.mcap"].error == "the process that worked on it died (out of memory?)"
     assert sorted(name for name, outcome in outcomes.items() if not outcome.error) == ["b.mcap"]
@@ -196,7 +196,7 @@ def test_a_dask_cluster_gives_the_same_bytes(sessions, typed, tmp_path):
 def test_a_failed_outcome_is_tried_again(sessions, tmp_path):
     job = jobs_in(sessions, tmp_path / "out", Task(("csv",)))[0]
     manifest = Manifest(tmp_path / "out")
-    manifest.add(job, Outcome(job.name, error="disk full"))
+    manifest.add(job, JobResult(job.name, error="disk full"))
     assert not manifest.is_done(job)
     manifest.close()
 

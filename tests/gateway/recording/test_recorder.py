@@ -23,7 +23,7 @@ from gateway.recording import control as control_module
 from gateway.recording import open_recording, recorder
 from gateway.recording.control import RecordingControl
 from gateway.recording.files import Contents, SessionFiles
-from gateway.recording.recorder import Recorder, Sink
+from gateway.recording.recorder import Recorder, RecordingSink
 from gateway.settings import GatewaySettings, RecordingSettings
 from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
@@ -37,7 +37,7 @@ def chunk(index: int, size: int = 100) -> Chunk:
 
 
 def recorder_on(files: SessionFiles, flush_s: float = 0.01, **options) -> Recorder:
-    return Recorder(Sink(files.write, files.flush, files.close, files.abandon), flush_s, **options)
+    return Recorder(RecordingSink(files.write, files.flush, files.close, files.abandon), flush_s, **options)
 
 
 def settings_in(folder, **changes) -> RecordingSettings:
@@ -215,7 +215,7 @@ async def test_a_slow_disk_holds_the_stream_up_and_nothing_is_lost(tmp_path, mon
         gate.wait(PATIENCE_S)
         return files.flush()
 
-    kept = Recorder(Sink(files.write, flush, files.close, files.abandon), 0.01)
+    kept = Recorder(RecordingSink(files.write, flush, files.close, files.abandon), 0.01)
     for index in range(500):
         if kept.is_behind:
             if not gate.is_set():
@@ -240,7 +240,7 @@ async def test_a_disk_that_hangs_ends_the_recording_and_lets_the_stream_go_on(tm
         gate.wait(PATIENCE_S)
         return files.flush()
 
-    kept = Recorder(Sink(files.write, flush, files.close, files.abandon), 0.01)
+    kept = Recorder(RecordingSink(files.write, flush, files.close, files.abandon), 0.01)
     for index in range(50):
         kept.chunk(chunk(index), Framing.BYTE_STREAM)
     begun = time.monotonic()
@@ -260,7 +260,7 @@ def test_a_failure_inside_is_said_and_ends_it(caplog):
         raise RuntimeError("inside")
 
     with caplog.at_level(logging.ERROR):
-        kept = Recorder(Sink(breaks, lambda: None, lambda: None, lambda: None), 0.01)
+        kept = Recorder(RecordingSink(breaks, lambda: None, lambda: None, lambda: None), 0.01)
         kept.chunk(chunk(0), Framing.BYTE_STREAM)
         assert kept.join(PATIENCE_S)
     assert "this should not have happened" in kept.ended

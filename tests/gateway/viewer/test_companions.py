@@ -18,7 +18,7 @@ from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import ReceivedPose
 from gateway.viewer.companions import Companions
 from gateway.viewer.live import LiveViewer
-from gateway.viewer.stage import Stage
+from gateway.viewer.stage import ViewerStage
 from tests.patience import PATIENCE_S
 
 BODY = load_rig("suit_17").skeleton
@@ -42,7 +42,7 @@ def shown(companions):
 def test_those_of_the_same_room_are_drawn_and_leave_with_their_poses():
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     try:
-        companions = Companions(server, Stage(server))
+        companions = Companions(server, ViewerStage(server))
         bodies = dict.fromkeys(("lab_1", "lab_2", "lab_3", "hall_1", "lab"), MESSAGE)
 
         def draw(beside, bodies):
@@ -73,7 +73,7 @@ def test_those_of_the_same_room_are_drawn_and_leave_with_their_poses():
 def test_people_with_markers_in_one_room_are_drawn_beside_each_other():
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     try:
-        companions = Companions(server, Stage(server))
+        companions = Companions(server, ViewerStage(server))
         bodies = dict.fromkeys(("lab", "lab_eve", "lab_bob", "laboratory", "lab_suit"), MESSAGE)
         marked = ("lab", "lab_eve", "lab_bob", "laboratory")
         for beside, others in (("lab", ["lab_bob", "lab_eve"]), ("lab_eve", ["lab", "lab_bob"])):

@@ -9,7 +9,7 @@ import pytest
 
 from gateway.support.credentials import AccessToken, CredentialError
 from gateway.viewer import gate
-from gateway.viewer.gate import Door, Gate, Refused, Request, Right
+from gateway.viewer.gate import Door, Gate, Refused, RequestHead, Right
 from tests.patience import PATIENCE_S
 
 TOKEN = "abcdefghijklmnop-_09"
@@ -19,7 +19,7 @@ SESSION = "a-session-of-this-very-test"
 def request(path="/", host="lab:8080", **headers):
     lines = [f"GET {path} HTTP/1.1", f"Host: {host}"]
     lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
-    return Request(("\r\n".join(lines) + "\r\n\r\n").encode())
+    return RequestHead(("\r\n".join(lines) + "\r\n\r\n").encode())
 
 
 def refusal(door, asked):
@@ -178,7 +178,7 @@ def test_another_site_cannot_press_the_buttons():
 )
 def test_what_is_no_plain_request_is_refused(head):
     with pytest.raises(Refused):
-        Request(head)
+        RequestHead(head)
 
 
 @contextlib.asynccontextmanager

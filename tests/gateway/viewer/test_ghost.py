@@ -53,7 +53,7 @@ def test_it_stands_where_the_other_does_and_turns_as_its_own_recording_says(serv
     playback.advance(0.1)
     ghost = playback._ghost
     assert ghost._bodies.visible
-    shown, plain = ghost._bodies.batched_wxyzs, playback._scene._bodies
+    shown, plain = ghost._bodies.batched_wxyzs, playback._body.scene._bodies
     same = Playback(server, standing(), "one", compared=standing())
     same.advance(0.1)
     turned = [quaternion.multiply(QUARTER, np.asarray(q, float)) for q in same._ghost._bodies.batched_wxyzs]

@@ -14,7 +14,7 @@ from gateway.viewer.body_steps import BodySteps  # noqa: E402
 from gateway.viewer.check_tab import CheckTab  # noqa: E402
 from gateway.viewer.panel import Panel  # noqa: E402
 from gateway.viewer.sensor_tab import SensorTab  # noqa: E402
-from gateway.viewer.stage import Stage  # noqa: E402
+from gateway.viewer.stage import ViewerStage  # noqa: E402
 from gateway.viewer.step_tab import _PLACE, Errands  # noqa: E402
 
 
@@ -41,7 +41,7 @@ async def test_a_step_stays_chosen(place):
 
 async def test_the_trail_is_named_after_the_root_whatever_it_is(place):
     server, *_ = place
-    panel = Panel(server, (), Stage(server))
+    panel = Panel(server, (), ViewerStage(server))
     for root, named in (("base", "base"), ("pelvis", "Becken")):
         still = {root: (1.0, 0.0, 0.0, 0.0)}
         panel.add_pose(

@@ -11,7 +11,7 @@ viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed
 
 from gateway.viewer.live_markers import LiveMarkers  # noqa: E402 - needs the extra
 from gateway.viewer.marker_points import LEFT_OUT, NAMELESS, NEAR  # noqa: E402 - needs the extra
-from gateway.viewer.stage import Stage  # noqa: E402 - needs the extra
+from gateway.viewer.stage import ViewerStage  # noqa: E402 - needs the extra
 
 
 def pose(number: int) -> ReceivedPose:
@@ -42,7 +42,7 @@ def markers(number: int) -> MarkersMessage:
 def test_the_pose_of_the_newest_markers_is_drawn_with_them():
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     try:
-        live = LiveMarkers(server, Stage(server))
+        live = LiveMarkers(server, ViewerStage(server))
         for number in range(1, 9):
             live.add(pose(number))
         shown, instant = live.pose_of(markers(6), pose(8))

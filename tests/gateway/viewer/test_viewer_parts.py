@@ -279,11 +279,11 @@ def test_a_recording_that_ended_by_itself_is_warned_of():
 def test_a_page_that_tells_its_size_late_or_is_turned_is_looked_at_anew(unused_port):
     """On a busy machine a phone's page seemed wide at first, and showed half of the body."""
     viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
-    from gateway.viewer.stage import Stage  # noqa: PLC0415 - needs the extra
+    from gateway.viewer.stage import ViewerStage  # noqa: PLC0415 - needs the extra
 
     server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
     try:
-        stage, updated = Stage(server), []
+        stage, updated = ViewerStage(server), []
         camera = SimpleNamespace(aspect=1.8, on_update=updated.append)
         stage._welcome(SimpleNamespace(client_id=7, camera=camera))
         wide = camera.position
@@ -306,11 +306,11 @@ def test_a_bend_is_none_in_the_neutral_posture_and_grows_with_the_turn():
 def test_a_body_far_away_stands_in_the_middle_and_so_does_its_name(unused_port):
     viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
     from gateway.viewer.scene import BodyScene  # noqa: PLC0415 - needs the extra
-    from gateway.viewer.stage import SECTION_M, Stage  # noqa: PLC0415
+    from gateway.viewer.stage import SECTION_M, ViewerStage  # noqa: PLC0415
 
     server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
     try:
-        stage = Stage(server)
+        stage = ViewerStage(server)
         scene = BodyScene(server, stage, SKELETON)
         drawn = PostureKeeper(SKELETON).take(pose(position={"pelvis": (100.25, -40.5, 1.0)}))
         stage.follow(drawn.place, 7.0)
@@ -331,11 +331,11 @@ def test_a_body_far_away_stands_in_the_middle_and_so_does_its_name(unused_port):
 @pytest.mark.parametrize("pictures_hz", [2.0, 60.0])
 def test_a_body_that_walks_stays_in_view_however_few_pictures_are_drawn(pictures_hz, unused_port):
     viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
-    from gateway.viewer.stage import Stage  # noqa: PLC0415 - needs the extra
+    from gateway.viewer.stage import ViewerStage  # noqa: PLC0415 - needs the extra
 
     server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
     try:
-        stage, speed_m_s = Stage(server), 1.5
+        stage, speed_m_s = ViewerStage(server), 1.5
         for time_s in np.arange(0.0, 10.0, 1.0 / pictures_hz):
             place = np.array([speed_m_s * time_s, 0.0, 1.0])
             stage.follow(place, time_s)
@@ -364,12 +364,12 @@ async def test_a_body_stands_on_the_floor_before_any_pose_has_come(unused_port):
 
 def test_a_trail_keeps_the_last_seconds_and_goes_when_it_is_not_wanted(unused_port):
     viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
-    from gateway.viewer.stage import Stage  # noqa: PLC0415 - needs the extra
+    from gateway.viewer.stage import ViewerStage  # noqa: PLC0415 - needs the extra
     from gateway.viewer.trail import SPACING_S, SPAN_S, Trail  # noqa: PLC0415 - needs the extra
 
     server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
     try:
-        trail = Trail(server, Stage(server))
+        trail = Trail(server, ViewerStage(server))
         for time_s in np.arange(0.0, 2 * SPAN_S, 0.01):
             trail.draw(True, time_s, np.array([time_s, 0.0, 1.0]))
         points = trail._points.points

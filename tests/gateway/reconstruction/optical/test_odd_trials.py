@@ -44,7 +44,7 @@ def test_points_ten_metres_away_are_left_out_and_told(walk):
     is_ghost = np.random.default_rng(2).random((len(positions), len(columns))) < 0.02
     positions[:, columns] += 10.0 * is_ghost[..., None]
     found = fit_body(fitting_set([walk]), [replace(walk, positions=positions)])
-    assert sum(found.ghosts.values()) == is_ghost.sum()
+    assert sum(found.trials.ghosts.values()) == is_ghost.sum()
     assert found.rmse < 0.005
     assert any("left out" in doubt for doubt in fit_doubts(found))
 
@@ -146,13 +146,13 @@ def test_an_upper_body_hangs_from_its_thorax(walk):
     found = fit_body(fitting_set([upper]), [upper])
     whole = fit_body(fitting_set([walk]), [walk])
     assert found.skeleton.segment_names[0] == "thorax"
-    assert {"pelvis", "left_foot"} <= set(found.left_out)
+    assert {"pelvis", "left_foot"} <= set(found.trials.left_out)
     assert found.rmse < 0.005
     for name in ("left_forearm", "right_upper_arm", "head"):
         tips = [np.linalg.norm(fit.skeleton.tips[fit.skeleton.index(name)]) for fit in (found, whole)]
         assert tips[0] == pytest.approx(tips[1], abs=0.006), name
-    assert "left_elbow_width" in found.lengths
-    assert not {"left_knee_width", "right_ankle_width"} & set(found.assumed)
+    assert "left_elbow_width" in found.measured.lengths
+    assert not {"left_knee_width", "right_ankle_width"} & set(found.measured.assumed)
 
 
 @needs_data
@@ -207,9 +207,9 @@ def test_a_walk_with_another_axis_up_than_the_static_trial_is_turned_and_told(wa
 @needs_data
 def test_hips_that_the_motion_would_have_elsewhere_are_told(walk):
     found = fit_body(fitting_set([walk]), [walk])
-    assert not found.is_functional
-    assert set(found.strained) <= {"left_thigh", "right_thigh"}
-    assert np.isfinite(found.rmse_free) == bool(found.strained)
+    assert not found.centres.is_functional
+    assert set(found.centres.strained) <= {"left_thigh", "right_thigh"}
+    assert np.isfinite(found.centres.rmse_free) == bool(found.centres.strained)
 
 
 def test_a_second_trial_in_one_file_is_left_out_and_told(tmp_path):
@@ -289,5 +289,5 @@ def test_a_foot_that_is_turned_about_is_doubted(walk):
 def test_names_that_the_set_lacks_are_told_where_a_limb_is_left_out(walk):
     odd = replace(walk, labels=tuple(f"Hand {label}" if "FIN" in label else label for label in walk.labels))
     found = fit_body(fitting_set([odd]), [odd])
-    assert {"left_hand", "right_hand"} == {*found.left_out}
+    assert {"left_hand", "right_hand"} == {*found.trials.left_out}
     assert any("the set has no " in doubt and "rename" in doubt for doubt in fit_doubts(found))

@@ -12,14 +12,14 @@ from gateway.emulation.optical_truth import cut_gaps
 from gateway.frames import FloatArray, MarkerFrame, Status
 from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm
-from gateway.reconstruction.optical import both_ways, kernels, point_rules
+from gateway.reconstruction.optical import both_ways, point_rules
 from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.bundle import _loose
 from gateway.reconstruction.optical.carrying import Carrying
 from gateway.reconstruction.optical.motion_kernels import (
     Evidence,
-    Motion,
-    Posture,
+    MovingPoses,
+    UsualTurns,
     assembled,
     motion_cost,
     stepped,
@@ -44,8 +44,7 @@ def _markers(n_each: int = 3) -> BodyMarkers:
 
 
 def _seen(model: BodyModel, R: FloatArray) -> FloatArray:
-    p = kernels.places(model.parents, model.offsets, R, np.array([0.0, 0.0, 0.95]))
-    return kernels.marker_places(model.segments, model.positions, R, p)
+    return model.markers_at(R, np.array([0.0, 0.0, 0.95]))
 
 
 def _waving(n: int) -> FloatArray:
@@ -139,9 +138,9 @@ def test_the_equations_of_a_motion_are_the_slope_of_its_cost() -> None:
     observed = np.array([_seen(model, each) for each in R]) + (root - [0.0, 0.0, 0.95])[:, None]
     observed += generator.normal(0.0, 0.002, observed.shape)
     observed[generator.random(observed.shape[:2]) < 0.3] = np.nan
-    motion, differences = Motion(R, root, 3), _differences(times, 3)
+    motion, differences = MovingPoses(R, root, 3), _differences(times, 3)
     spread = generator.normal(0.0, 5.0, (BODY.n_segments, 3, 3))
-    posture = Posture(
+    posture = UsualTurns(
         Rotation.from_rotvec(generator.normal(0.0, 0.05, (BODY.n_segments, 3))).as_matrix(),
         spread @ np.swapaxes(spread, 1, 2), generator.uniform(0.5, 2.0, 7),
     )  # fmt: skip

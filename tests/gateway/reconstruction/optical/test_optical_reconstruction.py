@@ -53,16 +53,11 @@ def _pose(body: Skeleton, generator: np.random.Generator, spread: float) -> Floa
     return np.array(R)
 
 
-def _observed(model: BodyModel, R: FloatArray, root: FloatArray) -> FloatArray:
-    p = kernels.places(model.parents, model.offsets, R, root)
-    return kernels.marker_places(model.segments, model.positions, R, p)
-
-
 def _numeric_gradient(model: BodyModel, seen: FloatArray, R: FloatArray, root: FloatArray) -> FloatArray:
     def cost(delta: FloatArray) -> float:
         turned, moved = kernels.moved(model.parents, R, root, delta)
-        p = kernels.places(model.parents, model.offsets, turned, moved)
-        apart = seen - _observed(model, turned, moved)
+        p = model.joints_at(turned, moved)
+        apart = seen - model.markers_at(turned, moved)
         joints = normal_equations(model, seen, np.ones(len(seen)), turned, p)[2]
         return float(0.5 * (apart**2).sum() / 0.004**2 + joints)
 
@@ -74,8 +69,8 @@ def test_gradient_of_markers_and_joints_is_that_of_differences() -> None:
     body, _, model = _person()
     generator = np.random.default_rng(1)
     R, root = _pose(body, generator, 0.4), np.array([0.1, -0.2, 0.9])
-    seen = _observed(model, R, root) + generator.normal(0.0, 0.01, (len(model.segments), 3))
-    p = kernels.places(model.parents, model.offsets, R, root)
+    seen = model.markers_at(R, root) + generator.normal(0.0, 0.01, (len(model.segments), 3))
+    p = model.joints_at(R, root)
     _, g, _ = normal_equations(model, seen, np.ones(len(seen)), R, p)
     np.testing.assert_allclose(g, _numeric_gradient(model, seen, R, root), atol=1e-4 * np.abs(g).max())
 
@@ -104,7 +99,7 @@ def _walk(model: BodyModel, body: Skeleton, n: int) -> tuple[FloatArray, FloatAr
         for s in range(1, body.n_segments):
             R.append(R[body.parents[s]] @ rm.from_rotation_vector(axes[s] * np.sin(0.05 * f + s)))
         poses.append(R)
-        markers.append(_observed(model, np.array(R), np.array([0.01 * f, 0.0, 0.9])))
+        markers.append(model.markers_at(np.array(R), np.array([0.01 * f, 0.0, 0.9])))
     return np.array(poses), np.array(markers)
 
 
@@ -175,7 +170,7 @@ def test_rates_are_those_of_the_motion() -> None:
     for f in range(20):
         t = 0.01 * f
         R = np.tile(rm.from_rotation_vector(np.array([0.0, 0.0, 1.5 * t])) @ turned, (body.n_segments, 1, 1))
-        seen = _observed(model, R, np.array([0.0, 0.0, 0.9 + 2.0 * t * t]))
+        seen = model.markers_at(R, np.array([0.0, 0.0, 0.9 + 2.0 * t * t]))
         frame = reconstructor.update(MarkerFrame(f, f * 10_000_000, seen))
     np.testing.assert_allclose(frame.angular_rate[0], turned.T @ [0.0, 0.0, 1.5], atol=0.02)
     np.testing.assert_allclose(frame.joint_acceleration[0], [0.0, 0.0, 4.0], atol=0.1)
@@ -185,7 +180,7 @@ def test_published_gradient_and_chains() -> None:
     body, _, model = _person()
     generator = np.random.default_rng(6)
     R0, root0 = _pose(body, generator, 0.3), np.array([0.0, 0.0, 1.0])
-    seen = _observed(model, R0, root0) + generator.normal(0.0, 0.02, (len(model.segments), 3))
+    seen = model.markers_at(R0, root0) + generator.normal(0.0, 0.02, (len(model.segments), 3))
     chains = chains_of(body)
     assert sorted(s for chain in chains for s in chain.segments.tolist()) == list(range(body.n_segments))
     assert [chain.moves_root for chain in chains] == [True] + [False] * (len(chains) - 1)
@@ -237,8 +232,9 @@ def test_a_fitted_subject_solves_its_trial_through_the_pipeline(tmp_path: Path) 
     static, motion = (read_markers(DATA / name) for name in BTK)
     fit = fit_body(marker_set, [static, _short(motion, 30)], FitOptions(centres="rules"))
     path = tmp_path / "anna.yaml"
+    lengths = dict(fit.measured.lengths)
     content = subject_content(
-        "anna", fit.marker_set, body_of(fit.skeleton), fit.skeleton, fit.markers, {}, dict(fit.lengths)
+        "anna", fit.marker_set, body_of(fit.skeleton), fit.skeleton, fit.markers, {}, lengths
     )
     write_subject(path, content)
     suit = load_rig(str(path))

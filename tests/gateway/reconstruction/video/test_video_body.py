@@ -10,7 +10,7 @@ from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import Held
 from gateway.reconstruction.video.freedom import DEGREES, freedom_of, kept_free, turn_matrix
-from gateway.reconstruction.video.inverse_kinematics import Goal, keypoint_places, solve, video_body
+from gateway.reconstruction.video.inverse_kinematics import Goal, solve, video_body
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.networks.keypoints import BLAZEPOSE, OPENPOSE
 from gateway.reconstruction.video.proportions import PARTS, part_lengths, sized, standard_lengths
@@ -68,7 +68,7 @@ def test_a_pose_is_found_again_from_its_keypoints():
     everyone = np.ones(len(KEYPOINTS.names))
     for f in (2, 6):
         found = solve(BODY, Goal(PERSON.keypoints[f], everyone, Held(start), -np.inf), start, root, 60)
-        places = keypoint_places(BODY.model, found.R, found.root)
+        places = BODY.model.markers_at(found.R, found.root)
         assert np.linalg.norm(places - PERSON.keypoints[f], axis=1).max() < 0.002
 
 
@@ -83,7 +83,7 @@ def test_what_is_not_seen_is_held_and_the_floor_is_not_passed():
     np.testing.assert_allclose(held.R, R, atol=0.01)
     below = Goal(PERSON.keypoints[3] - [0, 0, 0.1], np.ones_like(weights), Held(R), 0.0)
     sunk = solve(BODY, below, R, root, 60)
-    p = kernels.places(BODY.model.parents, BODY.model.offsets, sunk.R, sunk.root)
+    p = BODY.model.joints_at(sunk.R, sunk.root)
     for segment, point in zip(BODY.contact_segments, BODY.contacts, strict=True):
         assert (p[segment] + sunk.R[segment] @ point)[2] > -0.02
 
@@ -94,7 +94,7 @@ def test_parts_are_scaled_alike_left_and_right():
     body = video_body(skeleton, markers)
     R = np.tile(quaternion.to_matrix(skeleton.neutral), (skeleton.n_segments, 1, 1))
     np.testing.assert_allclose(
-        part_lengths(KEYPOINTS, keypoint_places(body.model, R, np.zeros(3))), lengths, rtol=0.02
+        part_lengths(KEYPOINTS, body.model.markers_at(R, np.zeros(3))), lengths, rtol=0.02
     )
     for name in skeleton.segment_names:
         if name.startswith("left_"):
