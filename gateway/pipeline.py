@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,6 +50,12 @@ class Worn(NamedTuple):
 
     suit: WornSuit
     reconstructor: Reconstructor
+
+
+def sources_from_settings(settings: GatewaySettings, suit: WornSuit) -> Sources:
+    """Return the sources of a configuration alone, to see what came: nothing is made of it, and the method is
+    not built. Raises ``SettingsError`` for a bad clock table."""
+    return Sources(suit, settings.clock.mode, *_of_sources(settings))
 
 
 def _of_sources(settings: GatewaySettings) -> tuple[ClockTable | None, int, dict[str, LinkSettings]]:
@@ -154,14 +160,6 @@ class Pipeline:
         """Return the skeleton frames that a chunk completes."""
         stage, frames = self._assembled(chunk)
         return self._solved(stage, frames)
-
-    def has_modules(self, link: str) -> bool:
-        """Return whether modules are at the other end of a link that was announced."""
-        return self._sources.has_modules(link)
-
-    def receive(self, chunk: Chunk) -> Sequence[Observation]:
-        """Return the observations that a chunk completes, with nothing made of them: to count what came."""
-        return self._sources.receive(chunk)
 
     def sent(self, chunk: SentChunk) -> None:
         """Note what the gateway put on a link: time requests and triggers, whose answers need it."""
