@@ -29,7 +29,7 @@ DIED = "the process that worked on it died (out of memory?)"
 
 def jobs_in(folder: Path, results: Path, task: Task) -> list[Job]:
     """Return a job for every recording in a folder and those below it, later parts of sessions left to their
-    first.
+    first, and what another batch or export has not finished, whose names begin with a dot.
 
     Raises ``GatewayError`` when there is none.
     """
@@ -38,12 +38,14 @@ def jobs_in(folder: Path, results: Path, task: Task) -> list[Job]:
     away = results.resolve()
     jobs = []
     for path in sorted(folder.rglob(f"*{fmt.SUFFIX}")):
+        name = path.relative_to(folder)
+        if any(step.startswith(".") for step in name.parts):
+            continue
         part = _LATER_PART.match(path.stem)
         # Without its first part a later one is a recording by itself.
         if part and path.with_name(part[1] + path.suffix).exists():
             continue
         if path.is_file() and fmt.is_recording(path) and away not in path.resolve().parents:
-            name = path.relative_to(folder)
             jobs.append(Job(str(name), path.resolve(), (results / name.parent).resolve(), task))
     if not jobs:
         raise GatewayError(f"{folder} has no recording (*{fmt.SUFFIX}) in it")

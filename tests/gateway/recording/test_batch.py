@@ -110,10 +110,11 @@ def test_a_delay_is_told_to_every_recording(sessions, typed, tmp_path, here):
     assert open_recording(tmp_path / "out/b.mcap").meta.settings.reconstructor_delay_ms == 200
 
 
-def test_later_parts_and_results_are_no_recordings_of_their_own(tmp_path):
-    for name in ("a.mcap", "a_part2.mcap", "b_part2.mcap", "out/a.mcap"):
+def test_later_parts_results_and_what_was_not_finished_are_no_recordings_of_their_own(tmp_path):
+    unfinished = "earlier/.partial-7-a/a.mcap"
+    for name in ("a.mcap", "a_part2.mcap", "b_part2.mcap", "out/a.mcap", unfinished):
         path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
     jobs = jobs_in(tmp_path, tmp_path / "out", Task(("csv",)))
     assert [job.name for job in jobs] == ["a.mcap", "b_part2.mcap"]
