@@ -214,6 +214,7 @@ class LiveViewer:
         skeleton = skeleton_of(body)
         self._body, self._drawn = body, None
         self._panel.parents = {each.name: each.parent for each in body.segments if each.parent is not None}
+        self._panel.name_root(next(each.name for each in body.segments if each.parent is None))
         clicked = None if self._assistant is None else self._assistant.choose_segment
         self._scene = BodyScene(self._server, self._stage, skeleton, clicked)
         self._keeper = PostureKeeper(skeleton)
