@@ -68,6 +68,8 @@ def run_jobs(
     if dask is not None:
         _on_dask(jobs, done, dask)
         return
+    for job in jobs:
+        _clear_away(job)
     died = []
     with contextlib.closing(_performed(_processes(workers or os.cpu_count() or 1), jobs)) as performed:
         for job, outcome in performed:
@@ -83,7 +85,39 @@ def run_jobs(
 
 def _processes(count: int) -> Executor:
     # Not forked: numerical libraries have threads, which a fork would tear apart.
-    return ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent)
+
+
+def _end_with_parent() -> None:
+    """Have this process end when the one that started it was killed: it would wait for work for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "a process of a pool"
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+
+
+def _clear_away(job: Job) -> None:
+    """Delete what processes that were killed have left of a job."""
+    made = re.compile(rf"\.partial-(\d+)-{re.escape(job.source.stem)}")
+    for path in job.folder.glob(".partial-*"):
+        left = made.fullmatch(path.name)
+        if left and not _is_alive(int(left[1])):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:  # another user's
+        return True
+    return True
 
 
 def _performed(

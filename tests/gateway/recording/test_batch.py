@@ -154,6 +154,33 @@ def test_ctrl_c_ends_it_with_one_line_and_nothing_half_made(record, tmp_path, mo
     assert all(entry["error"] is None for entry in manifest)
 
 
+def test_a_batch_that_is_killed_leaves_no_process_and_the_next_one_clears_up(record, tmp_path):
+    """Killed alone, as by a machine that runs out of memory."""
+    folder, out = tmp_path / "sessions", tmp_path / "out"
+    folder.mkdir()
+    path = record()
+    for k in range(8):
+        shutil.copy(path, folder / f"{k:02}.mcap")
+    typed = ["-m", "gateway", "batch", str(folder), "--to", "mcap", "-o", str(out), "--workers", "2"]
+    batch = subprocess.Popen([sys.executable, *typed], stderr=subprocess.DEVNULL, start_new_session=True)
+    deadline = time.monotonic() + PATIENCE_S
+    while not any(out.rglob(".partial*/*")) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    processes = psutil.Process(batch.pid).children()
+    batch.kill()
+    batch.wait()
+    _, left = psutil.wait_procs(processes, PATIENCE_S)
+    for process in left:
+        process.kill()
+    assert not left
+
+    (out / f".partial-{batch.pid}-00").mkdir()  # whatever the others were at just then
+    jobs, outcomes = jobs_in(folder, out, Task(("mcap",))), list[Outcome]()
+    run_jobs(jobs, lambda _job, outcome: outcomes.append(outcome), workers=1)
+    assert [outcome.error for outcome in outcomes] == [None] * 8
+    assert not list(out.rglob(".partial*"))
+
+
 class _Deadly(Job):
     """A job that ends the process that unpacks it, as the kernel does when memory runs out."""
 
