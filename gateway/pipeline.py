@@ -14,16 +14,16 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from devices.link import SUIT, Chunk, InputEvent, LinkItem, SentChunk
+from devices.link import Chunk, InputEvent, LinkItem, SentChunk
 from gateway.body.skeleton import WornSuit, remounted
-from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
+from gateway.clocks import ClockTable, load_clock_table
 from gateway.contract.balances import Balance, joined
 from gateway.errors import GatewayError
-from gateway.frames import FusedReading, ImuFrame, InertialBatch, Observation, SkeletonFrame
+from gateway.frames import ImuFrame, Observation, SkeletonFrame
 from gateway.reconstruction import RootSettings
 from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.reconstruction.resets import Resets
@@ -31,10 +31,8 @@ from gateway.settings import GatewaySettings, fitting_suit
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.despiking import Despiker
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.module_table import ModuleTable
-from gateway.sources.registry import carried_by, refuse_unsuited, source_kind
-from gateway.sources.source import Source, SourceContext
-from gateway.sources.suit import SuitSource
+from gateway.sources.source import Source
+from gateway.sources.sources import Sources
 from gateway.stages.frame_assembler import AssemblyParams
 from gateway.stages.modules import ModuleStage
 from gateway.stages.registry import STAGES
@@ -52,6 +50,19 @@ class PreparedSuit(NamedTuple):
 
     suit: WornSuit
     reconstructor: Reconstructor
+
+
+def sources_from_settings(settings: GatewaySettings, suit: WornSuit) -> Sources:
+    """Return the sources of a configuration alone, to see what came: nothing is made of it, and the method is
+    not built. Raises ``SettingsError`` for a bad clock table."""
+    return Sources(suit, settings.clock.mode, *_of_sources(settings))
+
+
+def _of_sources(settings: GatewaySettings) -> tuple[ClockTable | None, int, dict[str, LinkSettings]]:
+    """Return the clock table, the patience with triggers, ns, and the links by name."""
+    clock = settings.clock
+    table = None if clock.table is None else load_clock_table(Path(clock.table))
+    return table, round(clock.trigger_patience_ms * 1e6), {link.name: link for link in settings.links}
 
 
 class Pipeline:
@@ -79,12 +90,8 @@ class Pipeline:
         delay_s: by how much the method's frames may come later to be more accurate; for methods that can.
         links: settings of the links by name.
         """
-        self.modules = ModuleTable(clock_mode, clock_table)
-        """Of all sources."""
-        triggers = None
-        if clock_mode is ClockMode.TRIGGER:
-            triggers = TriggerAnswers(suit.module_ids, trigger_patience_ns)
-        self._source_context = SourceContext(suit, self.modules, triggers, links or {})
+        self._sources = Sources(suit, clock_mode, clock_table, trigger_patience_ns, links or {})
+        self.modules, self.stream = self._sources.modules, self._sources.stream
         self._stage_context = StageContext(
             suit,
             self.modules,
@@ -99,11 +106,8 @@ class Pipeline:
         """As worn now: a calibration may have changed it."""
         self.resets = Resets(suit.skeleton)
         self.skeleton_frames = 0
-        self._sources: dict[str, Source] = {}
         self._stages: dict[Callable[[StageContext], Stage[Any]], Stage[Any]] = {}
         self._routes: dict[str, tuple[Source, Stage[Any]]] = {}
-        self.stream = SuitSource.of(self._source_context)
-        self._sources[SUIT] = self.stream
         self.module_stage = ModuleStage(self._stage_context)
         """The stage of modules, which is there whatever else is."""
         self._stages[ModuleStage] = self.module_stage
@@ -113,35 +117,31 @@ class Pipeline:
         """Return the pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table,
         for a body that cannot walk and shall, and for a method that the suit has no modules for."""
         settings = fitting_suit(settings, suit)
-        table = settings.clock.table
+        table, patience_ns, links = _of_sources(settings)
         return cls(
             suit,
             settings.assembly.params(),
             settings.reconstructor,
             settings.clock.mode,
-            clock_table=None if table is None else load_clock_table(Path(table)),
+            clock_table=table,
             despiker=Despiker() if settings.assembly.despike else None,
-            trigger_patience_ns=round(settings.clock.trigger_patience_ms * 1e6),
+            trigger_patience_ns=patience_ns,
             root=settings.root_motion.root(),
             delay_s=settings.reconstructor_delay_ms * 1e-3,
-            links={link.name: link for link in settings.links},
+            links=links,
         )
 
     def add_link(self, name: str, content: str) -> None:
         """Announce a link, before its first chunk. content: what it carries, as recordings keep it
         (``devices.link.content_of``). Raises ``SettingsError`` as ``expect`` does."""
-        self._routes[name] = source, _ = self.expect(name, content)
-        source.add_link(name, content)
+        _, stage = self.expect(name, content)
+        self._routes[name] = self._sources.add_link(name, content), stage
 
     def expect(self, name: str, content: str) -> tuple[Source, Stage[Any]]:
         """Make what takes the chunks of a link, which may compile for a while.
 
         Raises ``SettingsError`` where the suit has no use for what it carries."""
-        carries = carried_by(content)
-        refuse_unsuited(name, carries, self.suit)
-        if carries not in self._sources:
-            self._sources[carries] = source_kind(carries).make(self._source_context)
-        source = self._sources[carries]
+        source = self._sources.expect(name, content)
         return source, self.stage_of(source.observes)
 
     def source_of(self, link: str) -> Source:
@@ -151,10 +151,6 @@ class Pipeline:
     def stage_at(self, link: str) -> Stage[Any]:
         """Return the stage behind a link that was announced."""
         return self._routes[link][1]
-
-    def has_modules(self, link: str) -> bool:
-        """Return whether modules are at the other end of a link that was announced."""
-        return self._routes[link][0].observes in (InertialBatch, FusedReading)
 
     def stage_of(self, observes: type[Observation]) -> Stage[Any]:
         """Return the stage that takes a kind of observation, made when it is first asked for."""
@@ -168,14 +164,9 @@ class Pipeline:
         stage, frames = self._assembled(chunk)
         return self._solved(stage, frames)
 
-    def receive(self, chunk: Chunk) -> Sequence[Observation]:
-        """Return the observations that a chunk completes, with nothing made of them: to count what came."""
-        return self._routes[chunk.link][0].receive(chunk)
-
     def sent(self, chunk: SentChunk) -> None:
         """Note what the gateway put on a link: time requests and triggers, whose answers need it."""
-        if chunk.link in self._routes:
-            self._routes[chunk.link][0].sent(chunk)
+        self._sources.sent(chunk)
 
     def take(self, item: LinkItem) -> list[SkeletonFrame]:
         """Take any input; return the skeleton frames that it completes.
@@ -267,12 +258,14 @@ class Pipeline:
 
     @property
     def _parts(self) -> list[Source | Stage[Any]]:
-        return [*self._sources.values(), *self._stages.values()]
+        return [*self._sources.by_kind.values(), *self._stages.values()]
 
     def dropped(self) -> dict[str, Mapping[str, int]]:
         """Return what could not be read, by link and reason."""
         return {
-            link: counts for source in self._sources.values() for link, counts in source.dropped().items()
+            link: counts
+            for source in self._sources.by_kind.values()
+            for link, counts in source.dropped().items()
         }
 
     def balances(self) -> list[Balance]:

@@ -29,7 +29,7 @@ DIED = "the process that worked on it died (out of memory?)"
 
 def jobs_in(folder: Path, results: Path, task: Task) -> list[Job]:
     """Return a job for every recording in a folder and those below it, later parts of sessions left to their
-    first.
+    first, and what another batch or export has not finished, whose names begin with a dot.
 
     Raises ``GatewayError`` when there is none.
     """
@@ -38,12 +38,14 @@ def jobs_in(folder: Path, results: Path, task: Task) -> list[Job]:
     away = results.resolve()
     jobs = []
     for path in sorted(folder.rglob(f"*{fmt.SUFFIX}")):
+        name = path.relative_to(folder)
+        if any(step.startswith(".") for step in name.parts):
+            continue
         part = _LATER_PART.match(path.stem)
         # Without its first part a later one is a recording by itself.
         if part and path.with_name(part[1] + path.suffix).exists():
             continue
         if path.is_file() and fmt.is_recording(path) and away not in path.resolve().parents:
-            name = path.relative_to(folder)
             jobs.append(Job(str(name), path.resolve(), (results / name.parent).resolve(), task))
     if not jobs:
         raise GatewayError(f"{folder} has no recording (*{fmt.SUFFIX}) in it")
@@ -66,6 +68,8 @@ def run_jobs(
     if dask is not None:
         _on_dask(jobs, done, dask)
         return
+    for job in jobs:
+        _clear_away(job)
     died = []
     with contextlib.closing(_performed(_processes(workers or os.cpu_count() or 1), jobs)) as performed:
         for job, outcome in performed:
@@ -81,7 +85,39 @@ def run_jobs(
 
 def _processes(count: int) -> Executor:
     # Not forked: numerical libraries have threads, which a fork would tear apart.
-    return ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent)
+
+
+def _end_with_parent() -> None:
+    """Have this process end when the one that started it was killed: it would wait for work for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "a process of a pool"
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+
+
+def _clear_away(job: Job) -> None:
+    """Delete what processes that were killed have left of a job."""
+    made = re.compile(rf"\.partial-(\d+)-{re.escape(job.source.stem)}")
+    for path in job.folder.glob(".partial-*"):
+        left = made.fullmatch(path.name)
+        if left and not _is_alive(int(left[1])):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:  # another user's
+        return True
+    return True
 
 
 def _performed(

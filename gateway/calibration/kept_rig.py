@@ -61,9 +61,7 @@ class KeptRig:
         # Somebody changed the configuration by hand meanwhile: that counts more than this.
         if self.config is None or load_yaml(self.config).get("rig") != self.rig:
             return False
-        # A name without folder still holds when the whole folder is moved.
-        is_beside = target.parent.resolve() == self.config.parent.resolve()
-        name = target.name if is_beside else str(target.resolve())
+        name = name_for(self.config, target)
         text = self.config.read_text(encoding="utf-8")
         with writing(self.config):
             write_whole(self.config, yaml_text.replaced(text, ("rig",), name).encode("utf-8"))
@@ -94,6 +92,19 @@ class KeptRig:
         head = f"# {source.name}, worn by somebody who was measured {now:%Y-%m-%d %H:%M} UTC.\n"
         write_rig(source, target, content, lambda _module: None, head)
         return subject, body
+
+
+def name_for(config: Path, rig: Path) -> str:
+    """Return how a configuration file names a rig file wherever the gateway is started: without a folder
+    beside it, which still holds when the whole folder is moved."""
+    is_beside = rig.parent.resolve() == config.parent.resolve()
+    return rig.name if is_beside else str(rig.resolve())
+
+
+def told_to_use(rig: Path, config: Path | None) -> str:
+    """Return what to tell after a rig file was written; config: where it is to be used, if that is known."""
+    name = str(rig) if config is None else name_for(config, rig)
+    return f"written to {rig}: use it as 'rig: {name}'"
 
 
 def measured(

@@ -22,7 +22,7 @@ from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, Axis, axis_of, cameras_text, load_cameras
 from gateway.cli.calibrate_body import body, put_back, versions
 from gateway.cli.calibrate_sensors import sensors
-from gateway.cli.options import AsJson, ReplaceFiles, refuse_existing
+from gateway.cli.options import AsJson, ReplaceFiles, refuse_absent_folder, refuse_existing
 from gateway.cli.terminal import progress_bar
 from gateway.clocks import ClockCalibration, ClockTable, LinkBatching, save_clock_table, warm_up
 from gateway.clocks.table import MINUTE_S
@@ -108,6 +108,7 @@ def _take_over(file: Path, axis: Axis, unit: str, output: Path, as_json: bool) -
 def _check_cameras(output: Path, import_file: Path | None, *, force: bool) -> None:
     """Raise ``GatewayError`` for what can be found before any picture is read."""
     require_video_extra()
+    refuse_absent_folder(output)
     refuse_existing(output, force, source=import_file)
 
 
@@ -229,8 +230,7 @@ def clocks(
     settings = load_gateway_settings(config)
     suit = load_rig(settings.rig, config)
     target = output or config.parent / f"{Path(settings.rig).stem}.clocks.yaml"
-    if not target.parent.is_dir():
-        raise GatewayError(f"{target}: there is no folder {target.parent} to write it to")
+    refuse_absent_folder(target)
     refuse_existing(target, force)
     # Compiled beforehand: a kernel compiled while samples wait would delay their arrival times.
     warm_up()

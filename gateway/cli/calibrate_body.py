@@ -24,11 +24,10 @@ from devices.links.reconnect import kept_open
 from devices.replay_link import contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.procedure import Step, StepKind
-from gateway.cli.options import link_of
+from gateway.cli.options import link_of, refuse_absent_folder
 from gateway.cli.preparing import stand_in
 from gateway.errors import GatewayError
 from gateway.settings import GatewaySettings, load_gateway_settings
-from gateway.support.settings_files import find_file
 
 if TYPE_CHECKING:
     from gateway.calibration.body_result import BodyResult
@@ -112,7 +111,9 @@ def body(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", help="Rig file to write [that of the rig; of a shipped one <rig>.worn.yaml]"
+            "--output",
+            "-o",
+            help="Rig file to write [that of the rig; of a shipped one <rig>.worn.yaml beside the config]",
         ),
     ] = None,
     steps: Annotated[str | None, typer.Option(help="Only these steps, separated by commas.")] = None,
@@ -135,10 +136,13 @@ def body(
     """
     from gateway.body.rig import load_rig
     from gateway.calibration.body_session import BodySession
-    from gateway.calibration.mounting import worn_rig, write_mounted_rig
+    from gateway.calibration.kept_rig import KeptRig, told_to_use
+    from gateway.calibration.mounting import write_mounted_rig
 
     settings = _settings(config, link, rig)
-    source = find_file(settings.rig, "rigs", config)
+    kept_rig = KeptRig(settings.rig, config)
+    source, target = kept_rig.configured, output or kept_rig.target
+    refuse_absent_folder(target)
 
     suit = load_rig(settings.rig, config)
     session = BodySession(suit, uses_field=field)
@@ -152,9 +156,8 @@ def body(
     taken = result.accepted(with_poor=poor)
     if not taken:
         raise GatewayError("no module could be calibrated well enough: nothing was written; see the reasons")
-    target = output or worn_rig(source)
     kept = write_mounted_rig(source, target, taken)
-    typer.echo(f"written to {target}: use it as 'rig: {target}'", err=as_json)
+    typer.echo(told_to_use(target, config), err=as_json)
     if kept is not None:
         typer.echo(f"the earlier one is kept as {kept}", err=as_json)
     raise typer.Exit(0 if len(taken) == len(result.modules) else 1)

@@ -32,7 +32,7 @@ from gateway.calibration.sensor_session import (
 )
 from gateway.calibration.sensors import ENOUGH_COVERAGE, EllipsoidResult, GyroscopeResult
 from gateway.cli.modules_suit import SuitChoice, with_suit
-from gateway.cli.options import ReplaceFiles, link_of, refuse_existing
+from gateway.cli.options import ReplaceFiles, link_of, refuse_absent_folder, refuse_existing
 from gateway.errors import GatewayError, nearest
 from gateway.settings import load_gateway_settings
 from gateway.sources.link_settings import LinkSettings
@@ -173,6 +173,7 @@ def sensors(
     The order does not matter; it ends when every module has shown enough. Ctrl-C takes what there is.
     """
     from gateway.body.rig import load_rig
+    from gateway.calibration.kept_rig import told_to_use
     from gateway.calibration.rig_file import write_calibrated_rig
 
     rig, links = _rig_and_links(suit)
@@ -195,7 +196,7 @@ def sensors(
         typer.echo(_about_the_field(dip_deg, worn, is_written=target is not None), err=as_json)
     if target is not None and calibrations:
         write_calibrated_rig(source, target, calibrations, dip_deg=dip_deg)
-        typer.echo(f"written to {target}: use it as 'rig: {target}'", err=as_json)
+        typer.echo(told_to_use(target, suit.config), err=as_json)
     raise typer.Exit(0 if all(len(r) == len(session.sensors) for r in kept.values()) else 1)
 
 
@@ -308,8 +309,7 @@ def _target(source: Path, suit: SuitChoice, output: Path | None, force: bool, fl
     folder = suit.config.parent if suit.config is not None else Path()
     # A file that was calibrated before is named so already.
     target = output or folder / f"{source.stem.removesuffix('.calibrated')}.calibrated.yaml"
-    if not target.parent.is_dir():
-        raise GatewayError(f"{target}: there is no folder {target.parent} to write it to")
+    refuse_absent_folder(target)
     refuse_existing(target, force)
     return target
 

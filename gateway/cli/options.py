@@ -142,3 +142,9 @@ def refuse_existing(
         raise GatewayError(f"{path} is itself what is read: name another file{named}")
     if path.exists() and not force:
         raise GatewayError(f"{path} exists: name another file{named}, or replace it with --force")
+
+
+def refuse_absent_folder(path: Path) -> None:
+    """Raise ``GatewayError`` for a file to write whose folder is not there: before what takes minutes."""
+    if not path.parent.is_dir():
+        raise GatewayError(f"{path}: there is no folder {path.parent} to write it to")

@@ -114,6 +114,7 @@ class _Supervisor:
         self._is_settled = asyncio.Event()
         self._is_settled.set()
         self._reloading: asyncio.Task[None] | None = None
+        self._reading = asyncio.Lock()
 
     async def run(self) -> None:
         """Run services one after another until a signal ends them."""
@@ -216,9 +217,10 @@ class _Supervisor:
             self._reloading = asyncio.create_task(self._load_next(), name="reload")
 
     async def _load_next(self) -> None:
-        await self._is_settled.wait()
-        with contextlib.suppress(GatewayError):
-            await self._read_anew(switch_after_s=0.0)
+        async with self._reading:
+            await self._is_settled.wait()
+            with contextlib.suppress(GatewayError):
+                await self._prepare_next(switch_after_s=0.0)
 
     async def _read_anew(self, switch_after_s: float = _ANSWER_TIME_S) -> None:
         """Data flows on while the new configuration is read, its reconstructor compiled, and all that it
@@ -227,8 +229,14 @@ class _Supervisor:
         switch_after_s: time for the old service to answer the request. Raises ``GatewayError``
         for a configuration that is wrong, or that cannot run here; the old service then goes on.
         """
-        if self._next is not None:
+        if self._reading.locked() or self._next is not None:
             raise GatewayError("another configuration takes over just now: ask again in a moment")
+        async with self._reading:
+            await self._prepare_next(switch_after_s)
+
+    async def _prepare_next(self, switch_after_s: float) -> None:
+        """As ``_read_anew``, for who has the turn: two services that are prepared at once want the same
+        ports."""
         notify("RELOADING=1")
         try:
             service = await self._prepared()

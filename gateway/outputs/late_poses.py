@@ -9,6 +9,7 @@ late pose has the ``instance`` and ``seq`` of the live one, so that whoever join
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import os
 import time
@@ -34,6 +35,8 @@ LONGEST_UNCONFIRMED = 5000
 _TOGETHER = 10
 """Late poses whose acknowledgements are waited for at once."""
 _MB = 1_000_000
+_LONGEST_LINE = _MB
+"""Bytes: see ``connection.LARGEST_MESSAGE``."""
 _log = logging.getLogger(__name__)
 
 
@@ -63,6 +66,24 @@ class LatePoses:
                 f"mqtt.late.folder: {path} cannot be written ({error.strerror}): name a folder of your own"
             ) from error
         self._size = self._file.seek(0, os.SEEK_END)
+        self._drop_torn_line()
+
+    def _drop_torn_line(self) -> None:
+        """Cut off a last line that a power cut has torn: what is kept next must not join it."""
+        begin = max(self._size - _LONGEST_LINE, 0)
+        self._file.seek(begin)
+        self._size = begin + self._file.read().rfind(b"\n") + 1
+        self._file.truncate(self._size)
+
+    def _write(self, data: bytes) -> None:
+        """Append. Raises ``OSError`` where not all of it can be; the file is then as it was."""
+        try:
+            if self._file.write(data) < len(data):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError:
+            self._file.truncate(self._size)
+            raise
+        self._size += len(data)
 
     @property
     def has_some(self) -> bool:
@@ -91,12 +112,10 @@ class LatePoses:
             self._leave_out("mqtt.late.most_mb is reached")
             return
         try:
-            self._file.write(line)
+            self._write(line)
         except OSError as error:
-            self._file.truncate(self._size)
             self._leave_out(str(error.strerror))
             return
-        self._size += len(line)
         self.kept += 1
 
     def _leave_out(self, reason: str) -> None:

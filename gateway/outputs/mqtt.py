@@ -80,12 +80,6 @@ _DRAIN_S = 0.5
 """Part of it for the queue."""
 
 
-def _door(settings: MqttSettings) -> dict[str, object]:
-    """Settings that decide whether a broker lets us in."""
-    names = {"host", "port", "failover", "username", "password_file", "tls", "protocol"}
-    return {"broker": settings.broker, **settings.model_dump(include=names)}
-
-
 class MqttOutput:
     """Publishes frames of one skeleton; an ``Output``. Belongs to one event loop.
 
@@ -226,7 +220,7 @@ class MqttOutput:
         check_files(settings)
         if settings.broker == "embedded":
             await self._prepare_broker(former)
-        elif former is not None and _door(settings) != _door(former._settings):
+        elif former is not None and settings.door != former._settings.door:
             await check_admittance(settings, self.port)
 
     async def _prepare_broker(self, former: MqttOutput | None) -> None:

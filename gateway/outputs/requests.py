@@ -110,7 +110,7 @@ class RequestLine:
 
     def is_as(self, other: RequestLine) -> bool:
         """Return whether it leads to the same requests."""
-        return (self.settings, self.topics) == (other.settings, other.topics)
+        return (self.settings.door, self.topics) == (other.settings.door, other.topics)
 
     def open(self, port: int, take: Callable[[aiomqtt.Message], Awaitable[None]]) -> None:
         """Give requests to ``take`` from now on; returns at once. One that is open already stays so."""
@@ -229,11 +229,13 @@ class RequestResponder:
         """Take over the connection of one that is to be stopped, where the next would be the same."""
         if self._line.is_as(former._line):
             former._successor, self._line = self, former._line
+            self._line.settings = self._settings
 
     def release(self, former: RequestResponder) -> None:
         """Undo ``follow``."""
         if former._successor is self:
             former._successor, self._line = None, RequestLine(self._settings, former._topics.gateway)
+            former._line.settings = former._settings
 
     def start(self, port: int) -> None:
         """Begin to answer, at the broker on this port; returns at once."""
@@ -243,6 +245,7 @@ class RequestResponder:
         """End at once. Requests under way are broken off, which is answered; those that come later are the
         successor's, where there is one."""
         self._line.hold()
+        await asyncio.sleep(0)  # a task that is cancelled before it has begun would answer nothing
         await end_tasks(*self._under_way)
         if self._successor is None:
             await self._line.close()
@@ -269,19 +272,19 @@ class RequestResponder:
             refusal = str(problem)
         asked = _Asked(verb, data, transaction, answer_to, correlation)
         # An answer may wait for the connection, which this must not hold up.
-        if refusal is None:
-            task = asyncio.create_task(self._carry_out(asked), name=f"request {verb}")
-            self._under_way[task] = family
-        else:
-            task = asyncio.create_task(self._answer(asked, _error(asked, refusal)), name=f"refusal {verb}")
-            self._under_way[task] = _REFUSED
+        task = asyncio.create_task(self._carry_out(asked, refusal), name=f"request {verb}")
+        self._under_way[task] = family if refusal is None else _REFUSED
         task.add_done_callback(self._under_way.pop)
 
-    async def _carry_out(self, asked: _Asked) -> None:
+    async def _carry_out(self, asked: _Asked, refusal: str | None) -> None:
+        answering: asyncio.Future[None] | None = None
         try:
-            await self._answer(asked, await self._perform(asked))
+            response = await self._perform(asked) if refusal is None else _error(asked, refusal)
+            answering = asyncio.ensure_future(self._answer(asked, response))
+            await asyncio.shield(answering)
         except asyncio.CancelledError:
-            await self._answer(asked, _error(asked, _BROKEN_OFF))
+            # An answer that is under way may have left: it is waited for, not sent twice.
+            await (answering or self._answer(asked, _error(asked, _BROKEN_OFF)))
             raise
         except Exception:
             # Whatever it was, it is not to pass for a task that nobody looks at.

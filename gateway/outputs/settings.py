@@ -323,6 +323,12 @@ class MqttSettings(Strict):
         return bool(self.failover) or self.late is not None
 
     @property
+    def door(self) -> dict[str, object]:
+        """Those that decide which broker it is, and whether it lets us in."""
+        names = {"broker", "host", "port", "failover", "username", "password_file", "tls", "protocol"}
+        return self.model_dump(include=names)
+
+    @property
     def protocol_in_use(self) -> Literal["3.1.1", "5"]:
         """The MQTT version that the chosen broker understands."""
         return "3.1.1" if self.broker == "embedded" else self.protocol

@@ -23,7 +23,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.contract.ros_messages import BodyTransforms
 from gateway.frames import SkeletonFrame
 from gateway.geometry.comparison import orientation_error
-from gateway.pipeline import Pipeline
+from gateway.pipeline import Pipeline, sources_from_settings
 from gateway.recording.arrays import SkeletonArrays, arrays_of
 from gateway.recording.pose_encoding import decode_skeleton_frame, frame_messages
 from gateway.recording.reading import (
@@ -34,6 +34,7 @@ from gateway.recording.reading import (
 from gateway.recording.smoothing import RecordingSmoother
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
+from gateway.sources.sources import Sources
 
 _MESSAGES_A_REPORT = 512
 
@@ -80,6 +81,16 @@ def recording_pipeline(recording: Recording, setup: SolvingSetup) -> Pipeline:
     for name, content in recording.meta.links.items():
         pipeline.add_link(name, content)
     return pipeline
+
+
+def recorded_sources(recording: Recording) -> Sources:
+    """Return sources that nothing was fed to yet, with the recording's links, as ``recording_pipeline`` has
+    them."""
+    with with_recorded_table(recording, recording.meta.settings) as settings:
+        sources = sources_from_settings(settings, recording.meta.suit)
+    for name, content in recording.meta.links.items():
+        sources.add_link(name, content)
+    return sources
 
 
 def solve(

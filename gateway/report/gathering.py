@@ -11,11 +11,11 @@ from devices.link import Chunk, InputEvent, SentChunk
 from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, IntArray, SkeletonFrame, Status
-from gateway.pipeline import Pipeline
 from gateway.recording.arrays import SkeletonArrays, arrays_of
 from gateway.recording.reading import Progress, RecordedStatistics, Recording
-from gateway.recording.solving import recorded_setup, recording_pipeline
+from gateway.recording.solving import recorded_sources
 from gateway.recording.summary import RecordingSummary, summarise
+from gateway.sources.sources import Sources
 
 _MOST_BINS = 400
 """Of time: more cannot be seen."""
@@ -85,30 +85,30 @@ class _Modules:
     """The stream decoded anew, and looked at every so often."""
 
     def __init__(
-        self, pipeline: Pipeline | None, names: dict[int, str], begun_ns: int, bin_s: float, bins: int
+        self, sources: Sources | None, names: dict[int, str], begun_ns: int, bin_s: float, bins: int
     ) -> None:
-        self._pipeline, self._names = pipeline, names
+        self._sources, self._names = sources, names
         self._begun_ns, self._bin_ns, self._bins = begun_ns, bin_s * 1e9, bins
         self._bin = 0
         self.found: dict[int, ModuleFindings] = {}
         self._before: dict[int, tuple[int, int]] = {}
 
     def take(self, item: Chunk | SentChunk) -> None:
-        """Feed an input to the pipeline, and read the counters at the end of every bin."""
-        if self._pipeline is None or not self._pipeline.has_modules(item.link):
+        """Feed an input to the sources, and read the counters at the end of every bin."""
+        if self._sources is None or not self._sources.has_modules(item.link):
             return
         if isinstance(item, SentChunk):
-            self._pipeline.sent(item)
+            self._sources.sent(item)
             return
         at = min(int(max(item.arrived_ns - self._begun_ns, 0) // self._bin_ns), self._bins - 1)
         if at > self._bin:
             self.look()
             self._bin = at
-        self._pipeline.receive(item)
+        self._sources.receive(item)
 
     def look(self) -> None:
         """Enter what the bin brought."""
-        for module, record in self._pipeline.modules.records.items() if self._pipeline else ():
+        for module, record in self._sources.modules.records.items() if self._sources else ():
             found = self.found.get(module)
             if found is None:
                 found = ModuleFindings(module, self._names.get(module, ""), self._bins)
@@ -133,8 +133,8 @@ def gather(recording: Recording, progress: Progress | None = None) -> Findings:
     first_ns = next((chunk.arrived_ns for chunk in recording.chunks()), meta.begun_ns)
     bin_s = max(_SHORTEST_BIN_S, summary.duration_s / _MOST_BINS)
     bins = max(int(np.ceil(summary.duration_s / bin_s)), 1)
-    pipeline = recording_pipeline(recording, recorded_setup(recording)) if suit else None
-    modules = _Modules(pipeline, _names(suit), first_ns, bin_s, bins)
+    sources = recorded_sources(recording) if suit else None
+    modules = _Modules(sources, _names(suit), first_ns, bin_s, bins)
     poses = _Poses(suit.skeleton.n_segments if suit else 0)
     events: list[InputEvent] = []
     totals: dict[str, Any] = {}

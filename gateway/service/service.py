@@ -332,14 +332,15 @@ class Service:
                 await self._until_others_are_done()
             finally:
                 self.is_ending = True
-                # First what may still use the outputs, then the recording, so that its last event is the end.
+                # First what may still use the outputs, or begin a recording, then the recording, so that its
+                # last event is the end.
                 for companion in (*companions, *others):
                     companion.cancel()
                 await asyncio.gather(*others, return_exceptions=True)
                 if self.people is not None:
                     await self.people.close()
-                await self.recording.stop()
                 await self.requests.stop()
+                await self.recording.stop()
 
     def _other_services(self) -> list[Service]:
         """Return the services of further people, fed by the links of this one."""

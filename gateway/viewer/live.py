@@ -207,6 +207,7 @@ class LiveViewer:
         self._message, self._drawn = message, None
         body.draw_before_any()
         self._panel.parents = {each.name: each.parent for each in message.segments if each.parent is not None}
+        self._panel.name_root(next(each.name for each in message.segments if each.parent is None))
         if self._body_steps is not None:
             self._body_steps.look()
         # A body without muscles of its own still is worth showing: the page says why they are missing.

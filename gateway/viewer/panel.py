@@ -37,7 +37,6 @@ class _Offer(NamedTuple):
     """What the list of plots was made of."""
 
     language: str
-    root: str
     joints: tuple[str, ...]
     segments: tuple[str, ...]
     has_markers: bool
@@ -117,6 +116,12 @@ class Panel:
     def _label(self, choice: str) -> str:
         return self.translated(choice, name=segment_name(self.language, self._root))
 
+    def name_root(self, segment: str) -> None:
+        """Name the trail after the root of the body. That of a pose is another one with every step: the foot
+        that stands."""
+        self._root = segment
+        self._choices["trail"].label = self._label("trail")
+
     def translated(self, key: str, **values: object) -> str:
         """Return a text in the page's language."""
         return translated(self.language, key, **values)
@@ -144,7 +149,7 @@ class Panel:
     def add_pose(self, pose: PoseMessage) -> None:
         """Add a pose to the plot: attitudes of segments, and angles of joints where poses have them."""
         joints = pose.joint_angles or {}
-        self._offer(_Offer(self.language, pose.root, tuple(joints), tuple(pose.segments), self._has_markers))
+        self._offer(_Offer(self.language, tuple(joints), tuple(pose.segments), self._has_markers))
         kind, name = self._series.get(self._plotted.value, ("", ""))
         plain = segment_name(self.language, name)
         if kind == "of_attitude":
@@ -167,8 +172,6 @@ class Panel:
         """Have the list of what can be plotted name all of it; the same series stays chosen."""
         if offer == self._offered:
             return
-        self._root = offer.root
-        self._choices["trail"].label = self._label("trail")
         chosen = self._series.get(self._plotted.value)
         of_each = (
             *(("of_angles", joint) for joint in offer.joints),

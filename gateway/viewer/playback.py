@@ -58,6 +58,7 @@ class Playback:
         self._panel = Panel(
             server, (ButtonRow("playback", ("play", "pause", "begin"), self._press),), self._stage
         )
+        self._panel.name_root(arrays.segment_names[0])  # parents come first
         self._speed = server.gui.add_dropdown(translated(ENGLISH, "speed"), SPEEDS, initial_value="1")
         end_s = max(self._times_s[-1], TIME_LINE_STEP_S)
         self._line = server.gui.add_slider(translated(ENGLISH, "time"), 0.0, end_s, TIME_LINE_STEP_S, 0.0)

@@ -209,3 +209,16 @@ async def test_an_answer_goes_only_where_it_harms_nobody(mosquitto, wanted):
         await answered(client, answers, 1)
         (topic,) = [topic for topic, answer in answers if answer["transaction"] == 9]
     assert topic == (wanted if WANTED[wanted] else "mocap/lab/bridge/response/echo/x")
+
+
+async def test_what_was_taken_just_before_the_end_is_answered(mosquitto):
+    """A task that is cancelled before its first step runs nothing of what it was to do."""
+    async with under_fire(mosquitto, "3.1.1") as (responder, _, _, answers):
+        for payload in (b"{}", b"[1]"):
+            message = aiomqtt.Message(REQUEST + "x", payload, 1, retain=False, mid=1, properties=None)
+            await responder._take(message)
+        await responder.stop()
+        async with asyncio.timeout(PATIENCE_S):
+            while len(answers) < 2:
+                await asyncio.sleep(0.01)
+    assert sorted(answer["error"][:12] for _, answer in answers) == ["a request is", "broken off, "]

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import os
 import socket
 
+import aiomqtt
+import orjson
 import pytest
 import yaml
 
@@ -49,15 +52,16 @@ class Running:
 
 
 @pytest.fixture
-async def gateway(mosquitto, tmp_path, unused_port, until, monkeypatch):
-    """A running gateway with metrics and a recording, read from a file."""
+async def gateway(request, mosquitto, tmp_path, unused_port, until, monkeypatch):
+    """A running gateway with metrics and a recording, read from a file; its parameter: further settings of
+    MQTT."""
     monkeypatch.setattr(run, "set_up_logging", lambda *_: None)  # that of the tests stays
     settings = {
         "gateway": f"reloaded_{os.getpid()}",
         "links": [{"name": "suit", "url": str(tmp_path / "absent")}],
         "rig": "single",
         "reconstructor": "independent",
-        "mqtt": {"port": mosquitto.port},
+        "mqtt": {"port": mosquitto.port, **getattr(request, "param", {})},
         "metrics": {"port": unused_port},
         "recording": {"folder": str(tmp_path / "recordings"), "at_start": True, "min_free_mb": 0},
     }
@@ -182,3 +186,74 @@ async def test_what_only_fails_as_it_starts_brings_the_old_configuration_back(
     assert gateway.service.settings == before.settings
     assert "the port was taken meanwhile" in caplog.text
     assert not gateway.task.done()
+
+
+_ASKED_EVERY_S = 0.02
+"""Half as often as the gateway takes requests."""
+_LAST_ANSWERS_S = 10.0
+
+
+async def ask_for_ever(client, topic, asked):
+    """Number requests, and note in ``asked`` those that have none."""
+    for number in itertools.count():
+        asked.add(number)
+        await client.publish(topic, orjson.dumps({"transaction": number}), qos=1)
+        await asyncio.sleep(_ASKED_EVERY_S)
+
+
+async def note_answers(client, asked):
+    async for message in client.messages:
+        asked.discard(orjson.loads(message.payload)["transaction"])
+
+
+@pytest.mark.parametrize("gateway", [{}, {"broker": "embedded", "port": 0}], indirect=True)
+@pytest.mark.parametrize("changed", [{}, {"health_interval": 1.0, "decimals": 4, "keepalive": 9}])
+async def test_every_request_that_comes_while_a_gateway_begins_anew_is_answered(gateway, until, changed):
+    before, port, unanswered = gateway.service, gateway.service.mqtt.port, set[int]()
+    topics = before.mqtt.topics
+    async with aiomqtt.Client("127.0.0.1", port) as client:
+        await client.subscribe(topics.response("gateway/info"), qos=1)
+        answers = asyncio.create_task(note_answers(client, unanswered))
+        asking = asyncio.create_task(ask_for_ever(client, topics.request("gateway/info"), unanswered))
+        await asyncio.sleep(0.2)
+        await gateway.reload(mqtt={**gateway.base["mqtt"], **changed})
+        await until(lambda: gateway.service is not before and gateway.service.mqtt.is_connected)
+        await asyncio.sleep(0.2)
+        asking.cancel()
+        with contextlib.suppress(TimeoutError):  # what has no answer is told below
+            await until(lambda: not unanswered, _LAST_ANSWERS_S)
+        answers.cancel()
+    assert unanswered == set()
+
+
+async def test_two_configurations_do_not_take_over_at_once(gateway, until):
+    before = gateway.service
+    read_anew = gateway.supervisor._read_anew
+    answers = await asyncio.gather(read_anew(0.0), read_anew(0.0), return_exceptions=True)
+    assert [str(answer) for answer in answers if answer is not None] == [
+        "another configuration takes over just now: ask again in a moment"
+    ]
+    await until(lambda: gateway.service is not before and gateway.service.mqtt.is_connected)
+
+
+async def test_no_recording_begins_in_a_service_that_ends(gateway, until, monkeypatch):
+    """Nobody would end it: its file would be without an end."""
+    before, port = gateway.service, gateway.base["mqtt"]["port"]
+    stop = before.recording.stop
+
+    async def stop_slowly():
+        await stop()
+        await asyncio.sleep(0.5)
+
+    monkeypatch.setattr(before.recording, "stop", stop_slowly)
+    gateway.base["recording"]["at_start"] = False
+    topics = before.mqtt.topics
+    async with aiomqtt.Client("127.0.0.1", port) as client:
+        await client.subscribe(topics.response("recording/start"), qos=1)
+        await gateway.reload()
+        await until(lambda: before.is_ending)
+        await client.publish(topics.request("recording/start"), b"", qos=1)
+        answer = orjson.loads((await anext(client.messages)).payload)
+    assert answer["status"] == "ok"
+    assert not before.recording.is_recording
+    assert gateway.service.recording.is_recording

@@ -15,7 +15,7 @@ from devices.link import Chunk, SentChunk
 from gateway.frames import FloatArray, InertialBatch, Sample
 from gateway.recording.exporters.take import Take
 from gateway.recording.reading import Recording
-from gateway.recording.solving import recorded_setup, recording_pipeline
+from gateway.recording.solving import recorded_sources
 
 
 class TakePose(NamedTuple):
@@ -88,12 +88,12 @@ def samples_of(recording: Recording) -> Iterator[ModuleSample]:
     """Yield the samples of all inertial modules, roughly in order of time; none for other sources."""
     if not recording.meta.has_suit or recording.meta.solved_by:
         return
-    pipeline = recording_pipeline(recording, recorded_setup(recording))
+    sources = recorded_sources(recording)
     for item in recording.inputs():
         if isinstance(item, SentChunk):
-            pipeline.sent(item)
-        elif isinstance(item, Chunk) and pipeline.has_modules(item.link):
-            for batch in pipeline.receive(item):
+            sources.sent(item)
+        elif isinstance(item, Chunk) and sources.has_modules(item.link):
+            for batch in sources.receive(item):
                 if isinstance(batch, InertialBatch):
                     yield from _samples(batch)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from gateway.body.anthropometry import lengths_of
 from gateway.body.body_file import load_body
 from gateway.body.rig import load_rig
 from gateway.calibration.control import CalibrationControl
-from gateway.calibration.kept_rig import KeptRig, measured
+from gateway.calibration.kept_rig import KeptRig, measured, told_to_use
 from gateway.calibration.mounting import history
 from gateway.cli.main import app
 from gateway.errors import GatewayError
@@ -33,6 +34,23 @@ def config(tmp_path):
     path = tmp_path / "gateway.yaml"
     path.write_text(TEXT)
     return path
+
+
+def test_the_name_that_is_told_holds_wherever_the_gateway_is_started(config, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path.parent)
+    rig = KeptRig("arm_3", config).target
+    assert told_to_use(rig, config) == f"written to {rig}: use it as 'rig: arm_3.worn.yaml'"
+    assert told_to_use(Path("mine.yaml"), config).endswith(f"'rig: {tmp_path.parent / 'mine.yaml'}'")
+    assert told_to_use(Path("mine.yaml"), None).endswith("'rig: mine.yaml'")
+
+
+@pytest.mark.parametrize("what", ["body", "sensors", "clocks"])
+def test_a_folder_that_is_not_there_is_told_before_anything_is_measured(config, tmp_path, what):
+    """The link is absent too: that would be told had it been opened."""
+    target = tmp_path / "absent" / "mine.yaml"
+    shown = CliRunner().invoke(app, ["calibrate", what, "-c", str(config), "-o", str(target)])
+    assert isinstance(shown.exception, GatewayError)
+    assert "there is no folder" in str(shown.exception)
 
 
 def test_measures_go_beside_the_configuration_which_names_the_file_from_then_on(config):

@@ -65,6 +65,33 @@ def test_an_earlier_run_is_sent_with_its_own_instance_and_torn_lines_are_left_ou
     assert not late.has_some
 
 
+def test_what_is_kept_next_does_not_join_a_torn_line(path: Path):
+    path.parent.mkdir()
+    path.write_bytes(b'{"seq":1}\n{"seq":2,"t_')
+    late = LatePoses(path, "ab12", 1)
+    late.keep(pose(3))
+    assert [orjson.loads(text)["seq"] for text in late.next(10, 5)] == [1, 3]
+
+
+def test_a_pose_that_a_full_disk_takes_half_of_is_counted_and_leaves_nothing(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    late = LatePoses(path, "ab12", 1)
+    late.keep(pose(1))
+    file, before = late._file, path.read_bytes()
+
+    class Full:
+        def write(self, data: bytes) -> int:
+            return file.write(data[:7])
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(file, name)
+
+    monkeypatch.setattr(late, "_file", Full())
+    late.keep(pose(2))
+    assert (late.kept, late.left_out, path.read_bytes()) == (1, 1, before)
+
+
 def test_what_has_no_room_is_counted(path: Path, caplog: pytest.LogCaptureFixture):
     late = LatePoses(path, "ab12", 0.0002)
     for seq in range(20):

@@ -110,10 +110,11 @@ def test_a_delay_is_told_to_every_recording(sessions, typed, tmp_path, here):
     assert open_recording(tmp_path / "out/b.mcap").meta.settings.reconstructor_delay_ms == 200
 
 
-def test_later_parts_and_results_are_no_recordings_of_their_own(tmp_path):
-    for name in ("a.mcap", "a_part2.mcap", "b_part2.mcap", "out/a.mcap"):
+def test_later_parts_results_and_what_was_not_finished_are_no_recordings_of_their_own(tmp_path):
+    unfinished = "earlier/.partial-7-a/a.mcap"
+    for name in ("a.mcap", "a_part2.mcap", "b_part2.mcap", "out/a.mcap", unfinished):
         path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
     jobs = jobs_in(tmp_path, tmp_path / "out", Task(("csv",)))
     assert [job.name for job in jobs] == ["a.mcap", "b_part2.mcap"]
@@ -151,6 +152,33 @@ def test_ctrl_c_ends_it_with_one_line_and_nothing_half_made(record, tmp_path, mo
     manifest = [json.loads(line) for line in (out / "manifest.jsonl").read_text().splitlines()]
     assert len(manifest) < 40
     assert all(entry["error"] is None for entry in manifest)
+
+
+def test_a_batch_that_is_killed_leaves_no_process_and_the_next_one_clears_up(record, tmp_path):
+    """Killed alone, as by a machine that runs out of memory."""
+    folder, out = tmp_path / "sessions", tmp_path / "out"
+    folder.mkdir()
+    path = record()
+    for k in range(8):
+        shutil.copy(path, folder / f"{k:02}.mcap")
+    typed = ["-m", "gateway", "batch", str(folder), "--to", "mcap", "-o", str(out), "--workers", "2"]
+    batch = subprocess.Popen([sys.executable, *typed], stderr=subprocess.DEVNULL, start_new_session=True)
+    deadline = time.monotonic() + PATIENCE_S
+    while not any(out.rglob(".partial*/*")) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    processes = psutil.Process(batch.pid).children()
+    batch.kill()
+    batch.wait()
+    _, left = psutil.wait_procs(processes, PATIENCE_S)
+    for process in left:
+        process.kill()
+    assert not left
+
+    (out / f".partial-{batch.pid}-00").mkdir()  # whatever the others were at just then
+    jobs, outcomes = jobs_in(folder, out, Task(("mcap",))), list[JobResult]()
+    run_jobs(jobs, lambda _job, outcome: outcomes.append(outcome), workers=1)
+    assert [outcome.error for outcome in outcomes] == [None] * 8
+    assert not list(out.rglob(".partial*"))
 
 
 class _Deadly(Job):

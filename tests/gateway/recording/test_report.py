@@ -13,8 +13,10 @@ from devices.recording_writer import RecordingWriter, session_record
 from gateway.errors import GatewayError
 from gateway.frames import Status
 from gateway.recording import open_recording
+from gateway.recording.exporters.message_file import samples_of
 from gateway.recording.summary import summarise
 from gateway.report import gather, write_report
+from gateway.stages import modules
 
 SECTIONS = ["Modules", "Loss over time", "Clocks", "Status", "Confidence", "Orientations", "Joint angles",
             "Events", "Settings", "Rig", "Software"]  # fmt: skip
@@ -50,6 +52,18 @@ def test_the_page_has_everything_and_loads_nothing(record, typed, tmp_path):
     assert not re.search(r"@import|url\(|<script|<link", text)
     assert "base" in text
     assert "&quot;segment&quot;: &quot;base&quot;" in text, "the reset among the events"
+
+
+def test_nothing_is_solved_to_see_what_came(record, monkeypatch):
+    """The method of a recording may be one that takes minutes to compile."""
+
+    def refuse(*_arguments):
+        raise AssertionError("a method is built")
+
+    recording = open_recording(record())
+    monkeypatch.setattr(modules, "create_reconstructor", refuse)
+    assert gather(recording).modules
+    assert next(samples_of(recording))
 
 
 def test_figures_are_those_of_the_recording(record):

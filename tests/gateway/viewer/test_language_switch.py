@@ -43,13 +43,27 @@ async def test_the_trail_is_named_after_the_root_whatever_it_is(place):
     server, *_ = place
     panel = Panel(server, (), ViewerStage(server))
     for root, named in (("base", "base"), ("pelvis", "Becken")):
-        still = {root: (1.0, 0.0, 0.0, 0.0)}
-        panel.add_pose(
-            PoseMessage(t_ns=1, seq=1, frame="ENU", order="wxyz", root=root, segments=still, status={})
-        )
+        panel.name_root(root)
         assert panel.trail.label.endswith(f": {named}")
         panel.set_language("de")
         assert panel.trail.label == f"Spur: {named}"
+
+
+async def test_a_step_changes_nothing_in_the_panel(place):
+    """Poses of a body that walks start from the foot that stands; the list of plots may be open meanwhile."""
+    server, *_ = place
+    panel = Panel(server, (), ViewerStage(server))
+    panel.name_root("pelvis")
+    still = dict.fromkeys(("pelvis", "left_foot", "right_foot"), (1.0, 0.0, 0.0, 0.0))
+
+    def standing_on(root):
+        return PoseMessage(t_ns=1, seq=1, frame="ENU", order="wxyz", root=root, segments=still, status={})
+
+    panel.add_pose(standing_on("left_foot"))
+    label, options = panel.trail.label, panel._plotted.options
+    panel.add_pose(standing_on("right_foot"))
+    assert (label, panel.trail.label) == ("Trail: pelvis", "Trail: pelvis")
+    assert panel._plotted.options is options
 
 
 async def test_a_movement_stays_chosen(place):
