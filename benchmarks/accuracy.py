@@ -27,7 +27,7 @@ from devices.emulators.recording_formats import (
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import RecordedTracks
+from devices.recorded_tracks import RecordedTracks
 from gateway.body.rig import load_rig
 from gateway.emulation.optical_reference import WINDOW_S, gyroscope_disagreement, in_time
 from gateway.emulation.recordings import SMOOTHED, Score, imu_frames, orientations, score

@@ -19,7 +19,7 @@ from devices.emulators.recording_formats import (
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import RecordedTracks
+from devices.recorded_tracks import RecordedTracks
 from gateway.calibration.sensors import magnetometer_ellipsoid
 from gateway.frames import FloatArray
 

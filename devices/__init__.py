@@ -9,7 +9,7 @@ Reading order
 - ``recording_format``, ``recording_writer``, ``recording_file``, ``replay_link``: recordings; one is a
   link like any other.
 - ``marker_messages``, ``marker_files``, ``cameras``: what optical systems and cameras send.
-- ``vendor_protocols``, ``vendor_formats``: other makers' modules, live and recorded.
+- ``vendor_protocols``, ``vendor_formats``: other makers' modules, live and recorded (``recorded_tracks``).
 - ``conformance``: does a module keep the rules of our protocol? ``emulators``: suits without hardware.
 
 ``calibration``, ``calibration_script`` and ``normal_gait`` are what gateway and emulators must agree on,

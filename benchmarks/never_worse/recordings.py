@@ -24,7 +24,7 @@ from devices.emulators.recording_formats import (
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import RecordedTracks, ReferenceTrack, track_of
+from devices.recorded_tracks import RecordedTracks, ReferenceTrack, track_of
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.optical_reference import in_time

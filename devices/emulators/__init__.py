@@ -27,7 +27,7 @@ from devices.emulators.imperfections import IDEAL, PRESETS, ROUGH, TYPICAL, Impe
 from devices.emulators.motion.kinematics_truth import MotionState
 from devices.emulators.motion.motions import MOTIONS, BodyMotion, generic_motion
 from devices.emulators.motion.waves import Fade
-from devices.emulators.recordings import RecordedTracks, play
+from devices.emulators.recordings import play
 from devices.emulators.suit_settings import SuitSettings
 from devices.emulators.suit_traffic import SuitTraffic
 
@@ -50,7 +50,6 @@ __all__ = [
     "Moment",
     "MotionState",
     "PowerCut",
-    "RecordedTracks",
     "SuitCounts",
     "SuitSettings",
     "SuitTraffic",

@@ -19,9 +19,10 @@ from devices.emulators.recording_formats import (
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import CLOCK_START_US, LocalTrack, ModuleTrack, RecordedTracks, play
+from devices.emulators.recordings import CLOCK_START_US, play
 from devices.emulators.transports import MemoryTransport
 from devices.link import Framing
+from devices.recorded_tracks import LocalTrack, ModuleTrack, RecordedTracks
 from firmware_protocol import (
     CanFrameDecoder,
     DeviceInfo,
