@@ -13,5 +13,7 @@ Reading order
 - ``conformance``: does a module keep the rules of our protocol? ``emulators``: suits without hardware.
 
 ``calibration``, ``calibration_script`` and ``normal_gait`` are what gateway and emulators must agree on,
-since neither imports the other. Nothing here imports ``gateway``.
+since neither imports the other; ``geodesy`` and ``ros_definitions`` are conventions of the world outside.
+``back_off``, ``deferred`` (what is slow to import), ``extras`` and ``known_names`` serve all. Nothing here
+imports ``gateway``.
 """
