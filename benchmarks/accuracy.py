@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.accuracy_simulation import add_convergence, add_fast_arm
 from benchmarks.figures import Figure, Report, table
 from benchmarks.peers import NO_FIELD, solved
-from devices.emulators.recording_formats import (
+from devices.emulators.data_sets import (
     METAL_TABLE_S,
     RING_OPTICAL_LAG_S,
     read_broad,

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import joint_recordings as vendor
-from devices.emulators.recording_formats import read_hipose_mtw17
+from devices.emulators.data_sets import read_hipose_mtw17
 from devices.recorded_tracks import RecordedTracks
 from gateway.body.joint_angles import joint_angles
 from gateway.body.joints import Joint

@@ -10,7 +10,7 @@ from scipy.io import loadmat
 
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
-from devices.emulators.recording_formats import read_broad
+from devices.emulators.data_sets import read_broad
 from devices.recorded_tracks import RecordedTracks
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
-from devices.emulators.recording_formats import (
+from devices.emulators.data_sets import (
     read_broad,
     read_hipose_mtw17,
     read_repoimu_pendulum,

@@ -1,7 +1,7 @@
 """A capture of modules as one kind of value: what readers of files give, whoever made them.
 
-They are read by ``devices.vendor_formats`` and ``devices.emulators.recording_formats``, and played as
-modules would have sent them by ``devices.emulators.recordings``.
+They are read by ``devices.vendor_formats`` and ``devices.emulators.data_sets``, and played as
+modules would have sent them by ``devices.emulators.playback``.
 """
 
 from __future__ import annotations

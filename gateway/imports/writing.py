@@ -9,7 +9,7 @@ from itertools import groupby
 from pathlib import Path
 
 from devices import recording_format as fmt
-from devices.emulators.recordings import play
+from devices.emulators.playback import play
 from devices.link import Chunk, Framing
 from devices.recorded_tracks import RecordedTracks
 from devices.recording_writer import DerivedRecordingWriter, RecordingWriter

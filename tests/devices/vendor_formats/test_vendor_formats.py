@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from devices.emulators.recordings import play
+from devices.emulators.playback import play
 from devices.recorded_tracks import RecordedTracks
 from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
 from devices.vendor_formats.movella_dot import read_movella_dot

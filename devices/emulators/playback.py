@@ -1,6 +1,6 @@
 """Real recordings played as if their modules sent them. Sans-I/O.
 
-What is played is ``devices.recorded_tracks``; the readers of public data sets are in ``recording_formats``,
+What is played is ``devices.recorded_tracks``; the readers of public data sets are in ``data_sets``,
 those of makers' files in ``devices.vendor_formats``.
 """
 
