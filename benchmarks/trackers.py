@@ -34,6 +34,7 @@ from devices.emulators.motion.motions import gait_motion
 from devices.link import Chunk
 from devices.recorded_tracks import RecordedTracks
 from devices.vendor_protocols import slimevr as wire
+from firmware_protocol.samples import STANDARD_GRAVITY
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.optical_reference import in_time
@@ -43,7 +44,6 @@ from gateway.emulation.simulation import SENSORS, assembled
 from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
 from gateway.pipeline import Pipeline
 from gateway.settings import AssemblySettings
-from gateway.sources.makers import GRAVITY
 from gateway.sources.slimevr import SlimevrLinkSettings
 
 SEED = 1
@@ -288,7 +288,7 @@ def _sent(
     force, _ = _felt(motion, place, sign, n)
     w, x, y, z = q_es.T
     up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z], axis=1)
-    linear = force - GRAVITY * up
+    linear = force - STANDARD_GRAVITY * up
     times = np.arange(len(place)) / motion.rate_hz + LATENCY_S
     arrived = np.maximum.accumulate(times + rng.exponential(JITTER_S, len(times)))
     is_lost = rng.random(len(times)) < LOSS
