@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.accuracy_simulation import add_convergence, add_fast_arm
 from benchmarks.figures import Figure, Report, table
 from benchmarks.peers import NO_FIELD, solved
-from devices.emulators.recording_formats import (
+from devices.emulators.data_sets import (
     METAL_TABLE_S,
     RING_OPTICAL_LAG_S,
     read_broad,
@@ -27,7 +27,7 @@ from devices.emulators.recording_formats import (
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import RecordedTracks
+from devices.recorded_tracks import RecordedTracks
 from gateway.body.rig import load_rig
 from gateway.emulation.optical_reference import WINDOW_S, gyroscope_disagreement, in_time
 from gateway.emulation.recordings import SMOOTHED, Score, imu_frames, orientations, score

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
-from devices.emulators.recording_formats import METAL_TABLE_S, read_ring_chain5
+from devices.emulators.data_sets import METAL_TABLE_S, read_ring_chain5
 from gateway.body.rig import load_rig
 from gateway.emulation.optical_reference import in_time
 from gateway.emulation.recordings import SCORED_AFTER_S, Excerpt, imu_frames, totals

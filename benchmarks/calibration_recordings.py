@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import joint_recordings as vendor
-from devices.emulators.recording_formats import read_hipose_mtw17
-from devices.emulators.recordings import RecordedTracks
+from devices.emulators.data_sets import read_hipose_mtw17
+from devices.recorded_tracks import RecordedTracks
 from gateway.body.joint_angles import joint_angles
 from gateway.body.joints import Joint
 from gateway.body.skeleton import WornSuit

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figures import Figure, Report, table
-from devices.emulators.recording_formats import read_broad, read_ring_chain5
+from devices.emulators.data_sets import read_broad, read_ring_chain5
 from devices.link import Framing
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit

@@ -10,8 +10,8 @@ from scipy.io import loadmat
 
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
-from devices.emulators.recording_formats import read_broad
-from devices.emulators.recordings import RecordedTracks
+from devices.emulators.data_sets import read_broad
+from devices.recorded_tracks import RecordedTracks
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.recordings import imu_frames, orientations, reference_at

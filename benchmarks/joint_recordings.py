@@ -14,8 +14,8 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
-from devices.emulators.recording_formats import read_hipose_mtw17
-from devices.emulators.recordings import ModuleTrack, RecordedTracks, ReferenceTrack
+from devices.emulators.data_sets import read_hipose_mtw17
+from devices.recorded_tracks import ModuleTrack, RecordedTracks, ReferenceTrack
 from gateway.body.body_file import load_body
 from gateway.body.joint_angles import joint_angles
 from gateway.body.rig import load_rig

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
 from benchmarks.joint_recordings import JointTrial, hipose, joint_trial, read_qmt
+from devices.emulators.data_sets import METAL_TABLE_S, read_ring_chain5
 from devices.emulators.imperfections import TYPICAL
-from devices.emulators.recording_formats import METAL_TABLE_S, read_ring_chain5
 from gateway.body.body_file import load_body
 from gateway.body.joint_angles import joint_angles
 from gateway.body.rig import load_rig

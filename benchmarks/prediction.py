@@ -19,8 +19,8 @@ from benchmarks.never_worse import split
 from benchmarks.never_worse.recordings import DATA, part
 from benchmarks.synthetic_poses import frames_of, skeleton_of_size
 from devices.deferred import Rotation
-from devices.emulators.recording_formats import read_hipose_mtw17
-from devices.emulators.recordings import RecordedTracks
+from devices.emulators.data_sets import read_hipose_mtw17
+from devices.recorded_tracks import RecordedTracks
 from gateway.body.skeleton import Skeleton
 from gateway.emulation.recordings import solve, solved
 from gateway.frames import FloatArray, SkeletonFrame

@@ -17,8 +17,8 @@ from benchmarks.figures import Figure, table
 from benchmarks.joint_recordings import as_segments, dressed, facing_of, read_qmt
 from benchmarks.joints import QMT_STILL_S
 from benchmarks.never_worse.recordings import DATA
-from devices.emulators.recording_formats import read_hipose_mtw17
-from devices.emulators.recordings import RecordedTracks
+from devices.emulators.data_sets import read_hipose_mtw17
+from devices.recorded_tracks import RecordedTracks
 from gateway.body.retargeting import Retargeter, RobotPose
 from gateway.body.robot import load_robot
 from gateway.body.skeleton import Skeleton

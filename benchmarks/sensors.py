@@ -12,14 +12,14 @@ import numpy as np
 
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
-from devices.emulators.recording_formats import (
+from devices.emulators.data_sets import (
     read_broad,
     read_hipose_mtw17,
     read_repoimu_pendulum,
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import RecordedTracks
+from devices.recorded_tracks import RecordedTracks
 from gateway.calibration.sensors import magnetometer_ellipsoid
 from gateway.frames import FloatArray
 

@@ -29,10 +29,10 @@ from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
 from benchmarks.joint_headings import heading_errors
 from benchmarks.joint_recordings import as_segments, dressed, facing_of
+from devices.emulators.data_sets import METAL_TABLE_S, read_hipose_mtw17, read_ring_chain5
 from devices.emulators.motion.motions import gait_motion
-from devices.emulators.recording_formats import METAL_TABLE_S, read_hipose_mtw17, read_ring_chain5
-from devices.emulators.recordings import RecordedTracks
 from devices.link import Chunk
+from devices.recorded_tracks import RecordedTracks
 from devices.vendor_protocols import slimevr as wire
 from firmware_protocol.samples import STANDARD_GRAVITY
 from gateway.body.rig import load_rig

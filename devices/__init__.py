@@ -9,9 +9,11 @@ Reading order
 - ``recording_format``, ``recording_writer``, ``recording_file``, ``replay_link``: recordings; one is a
   link like any other.
 - ``marker_messages``, ``marker_files``, ``cameras``: what optical systems and cameras send.
-- ``vendor_protocols``, ``vendor_formats``: other makers' modules, live and recorded.
+- ``vendor_protocols``, ``vendor_formats``: other makers' modules, live and recorded (``recorded_tracks``).
 - ``conformance``: does a module keep the rules of our protocol? ``emulators``: suits without hardware.
 
 ``calibration``, ``calibration_script`` and ``normal_gait`` are what gateway and emulators must agree on,
-since neither imports the other. Nothing here imports ``gateway``.
+since neither imports the other; ``geodesy`` and ``ros_definitions`` are conventions of the world outside.
+``back_off``, ``deferred`` (what is slow to import), ``extras`` and ``known_names`` serve all. Nothing here
+imports ``gateway``.
 """

@@ -19,6 +19,10 @@ Quaternion = tuple[float, float, float, float]
 
 STANDARD_GRAVITY = 9.80665
 """m/s²: the g of data sheets."""
+SENSORS = ("specific_force", "magnetic_field", "angular_rate")
+"""Attributes of an inertial sample's sensors, in wire order."""
+ACCELERATION, VELOCITY, POSITION = 1, 2, 3
+"""Quantities of a local measurement."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +117,7 @@ class LocalMeasurement:
     quantity: int = field(
         metadata=wire(
             "B",
-            meanings={1: "acceleration, m/s²", 2: "velocity, m/s", 3: "position, m"},
+            meanings={ACCELERATION: "acceleration, m/s²", VELOCITY: "velocity, m/s", POSITION: "position, m"},
             sentence="What is measured, and so the unit of the two fields that follow.",
         )
     )

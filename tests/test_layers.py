@@ -60,6 +60,15 @@ def test_every_room_has_its_place():
     assert {path.parts[0].removesuffix(".py") for path in sources} - {"__init__"} == set(ROOMS)
 
 
+def test_only_emulators_know_emulators_below_the_gateway():
+    for path in (ROOT / "devices").rglob("*.py"):
+        if path.is_relative_to(ROOT / "devices" / "emulators"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            name = getattr(node, "module", None) or ""
+            assert not name.startswith("devices.emulators"), f"{path}:{node.lineno} imports {name}"
+
+
 def test_the_wire_needs_only_the_standard_library():
     allowed = set(sys.stdlib_module_names) | {"firmware_protocol"}
     for path in (ROOT / "firmware_protocol").rglob("*.py"):

@@ -7,8 +7,8 @@ import shutil
 import numpy as np
 
 from benchmarks.fuzzing.files import SCRATCH, in_a_file, refused_or_read
-from devices.emulators.recordings import RecordedTracks
 from devices.marker_files import MarkerTrial, read_c3d, read_trc
+from devices.recorded_tracks import RecordedTracks
 from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
 from devices.vendor_formats.movella_dot import read_movella_dot
 from devices.vendor_formats.mvnx import read_mvnx

@@ -17,14 +17,14 @@ from scipy.spatial.transform import Rotation
 from benchmarks.foot_recording import FIRST_MARKER_COLUMNS, MARKER_RATE_HZ, RATE_HZ, read_foot
 from benchmarks.never_worse.case import Case
 from benchmarks.never_worse.simulated import RING_HINGES, added, iron, turned
-from devices.emulators.recording_formats import (
+from devices.emulators.data_sets import (
     METAL_TABLE_S,
     read_broad,
     read_repoimu_pendulum,
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import RecordedTracks, ReferenceTrack, track_of
+from devices.recorded_tracks import RecordedTracks, ReferenceTrack, track_of
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.optical_reference import in_time

@@ -29,6 +29,7 @@ CODE = (
     "benchmarks/never_worse/split.py",
     "config",
     "devices/emulators",
+    "devices/recorded_tracks.py",
     "firmware_protocol",
     "gateway/body",
     "gateway/clocks",

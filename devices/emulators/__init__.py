@@ -6,8 +6,8 @@ truth that the gateway is judged by.
 The flow of a sample: ``bodies`` (who wears it) → ``motion`` (how it moves) → ``sensing`` (what is read, with
 the ``imperfections`` of it) → ``device`` (what a device says by itself and does when told) → ``delivery``
 (what becomes of what is said) → ``suit_traffic`` (all of it in order of time, for devices built as
-``suit_settings`` has it) → ``emulated_suit`` and ``transports`` (real time, real ports). ``recordings``, with
-the readers in ``recording_formats``, puts real captures in the place of all that.
+``suit_settings`` has it) → ``emulated_suit`` and ``transports`` (real time, real ports). ``playback``, with
+the readers in ``data_sets``, puts real captures in the place of all that.
 
 - ``makers``: the same suit in other makers' protocols. ``faults``: what goes wrong on purpose.
 - ``bench``: modules on a table that nobody wears yet. Programs of their own: ``ring_pair``, ``paced_writer``.
@@ -27,7 +27,7 @@ from devices.emulators.imperfections import IDEAL, PRESETS, ROUGH, TYPICAL, Impe
 from devices.emulators.motion.kinematics_truth import MotionState
 from devices.emulators.motion.motions import MOTIONS, BodyMotion, generic_motion
 from devices.emulators.motion.waves import Fade
-from devices.emulators.recordings import RecordedTracks, play
+from devices.emulators.playback import play
 from devices.emulators.suit_settings import SuitSettings
 from devices.emulators.suit_traffic import SuitTraffic
 
@@ -50,7 +50,6 @@ __all__ = [
     "Moment",
     "MotionState",
     "PowerCut",
-    "RecordedTracks",
     "SuitCounts",
     "SuitSettings",
     "SuitTraffic",

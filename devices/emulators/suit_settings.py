@@ -33,9 +33,10 @@ from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.sensing.ideal_sensors import GRAVITY, MAGNETIC_FIELD, SensedMotion
 from devices.emulators.sensing.inertial_sampler import InertialSampler
 from devices.emulators.sensing.light_sampler import Sunlight
-from devices.emulators.sensing.sample_encoding import SENSORS, SampleEncoder
+from devices.emulators.sensing.sample_encoding import SampleEncoder
 from firmware_protocol import RELAY, InertialSample, InertialSampleFine
 from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S
+from firmware_protocol.samples import SENSORS
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Recordings of other makers' modules, read into ``devices.emulators.recordings.RecordedTracks``.
+"""Recordings of other makers' modules, read into ``devices.recorded_tracks``.
 
 One format a file; each gives SI units, unit quaternions w x y z to east-north-up, and what was lost as NaN
 rows. ``sheets`` reads the tables that most of them are; every error names file, line and column. ``gaps``

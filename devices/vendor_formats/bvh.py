@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from devices.deferred import Rotation
-from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import FusedTrack, LocalTrack, RecordedTracks
-from devices.emulators.sensing.ideal_sensors import POSITION
+from devices.recorded_tracks import FusedTrack, LocalTrack, RecordedTracks
 from devices.vendor_formats.gaps import checked_rate
-from devices.vendor_formats.sheets import FormatError, read_lines
+from devices.vendor_formats.sheets import FloatArray, FormatError, read_lines
+from firmware_protocol.samples import POSITION
 
 PATH_DEVICE = 60
 """Module id under which the path of the hips is sent, as of a local measuring device."""

@@ -8,10 +8,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import FusedTrack, ModuleTrack, RecordedTracks
+from devices.recorded_tracks import FusedTrack, ModuleTrack, RecordedTracks
 from devices.vendor_formats.gaps import RATES, in_order, index_of_times, rate_of, spread
-from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
+from devices.vendor_formats.sheets import FloatArray, FormatError, Sheet, open_sheet
 from devices.vendor_formats.tracks import NORTH_WEST_UP_DEG, add_tracks, refuse_repeats, turned
 from firmware_protocol.samples import STANDARD_GRAVITY
 

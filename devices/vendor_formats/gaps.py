@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.emulators.bodies import FloatArray
-from devices.vendor_formats.sheets import FormatError, Sheet
+from devices.vendor_formats.sheets import FloatArray, FormatError, Sheet
 
 IntArray = NDArray[np.int64]
 

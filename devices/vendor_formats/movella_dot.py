@@ -12,10 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import RecordedTracks
+from devices.recorded_tracks import RecordedTracks
 from devices.vendor_formats.gaps import in_order, rate_of, spread, unwrapped
-from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
+from devices.vendor_formats.sheets import FloatArray, FormatError, Sheet, open_sheet
 from devices.vendor_formats.tracks import labels_of, refuse_repeats, stamped_tracks, turned
 from devices.vendor_formats.xsens_text import orientation_columns
 

@@ -17,12 +17,11 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import iterparse
 
 from devices.deferred import Rotation
-from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import FusedTrack, LocalTrack, RecordedTracks
-from devices.emulators.sensing.ideal_sensors import POSITION
+from devices.recorded_tracks import FusedTrack, LocalTrack, RecordedTracks
 from devices.vendor_formats.gaps import checked_rate, spread
-from devices.vendor_formats.sheets import FormatError, refuse_device
+from devices.vendor_formats.sheets import FloatArray, FormatError, refuse_device
 from devices.vendor_formats.tracks import NORTH_WEST_UP_DEG, refuse_repeats, turned
+from firmware_protocol.samples import POSITION
 
 PATH_DEVICE = 60
 """Module id under which the path of the first segment is sent, as of a local measuring device."""

@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from devices.deferred import Rotation
-from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import FusedTrack, ModuleTrack, track_of
-from devices.vendor_formats.sheets import FormatError
+from devices.recorded_tracks import FusedTrack, ModuleTrack, track_of
+from devices.vendor_formats.sheets import FloatArray, FormatError
 
 NORTH_WEST_UP_DEG = 90.0
 """Turn about z that takes north-west-up, the world of Xsens and x-io, to east-north-up."""

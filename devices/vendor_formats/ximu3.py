@@ -14,10 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import RecordedTracks
+from devices.recorded_tracks import RecordedTracks
 from devices.vendor_formats.gaps import in_order, index_of_times, rate_of, spread, usual_interval
-from devices.vendor_formats.sheets import FormatError, open_sheet
+from devices.vendor_formats.sheets import FloatArray, FormatError, open_sheet
 from devices.vendor_formats.tracks import refuse_repeats, stamped_tracks, turned
 from firmware_protocol.samples import STANDARD_GRAVITY
 

@@ -14,10 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import FusedTrack, ModuleTrack, RecordedTracks
+from devices.recorded_tracks import FusedTrack, ModuleTrack, RecordedTracks
 from devices.vendor_formats.gaps import IntArray, checked_rate, in_order, spread, unwrapped
-from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
+from devices.vendor_formats.sheets import FloatArray, FormatError, Sheet, open_sheet
 from devices.vendor_formats.tracks import add_tracks, labels_of, refuse_repeats, turned
 
 COUNTERS = ("PacketCounter", "Counter")

@@ -23,6 +23,7 @@ from rich.markup import escape
 
 from devices.calibration_script import begin_of_script
 from devices.emulators.bodies import FloatArray
+from devices.emulators.data_sets import READERS
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.device.sampling import FUSED, RAW, TRIGGERED
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
@@ -33,8 +34,7 @@ from devices.emulators.imperfections import PRESETS
 from devices.emulators.makers.registry import VENDOR_EMULATORS, announce
 from devices.emulators.motion.calibrating import strapped_on
 from devices.emulators.motion.motions import BodyMotion
-from devices.emulators.recording_formats import READERS
-from devices.emulators.recordings import RecordedTracks, play
+from devices.emulators.playback import play
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import (
     CanBusTransport,
@@ -48,6 +48,7 @@ from devices.emulators.transports import (
     UdpTransport,
 )
 from devices.link import Framing, gateway_time_ns
+from devices.recorded_tracks import RecordedTracks
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.cli.emulate_makers import VendorSuit, emulators_of, print_links, vendor_suit_of

@@ -22,7 +22,7 @@ from gateway.settings import GatewaySettings, check_method
 from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:
-    from devices.emulators.recordings import RecordedTracks
+    from devices.recorded_tracks import RecordedTracks
 
 
 FormatName = StrEnum("FormatName", {name: name for name in ("auto", *FORMATS)})  # type: ignore[misc]  # from the list

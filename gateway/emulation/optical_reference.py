@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from devices.deferred import CubicSpline, Rotation
-from devices.emulators.recordings import ModuleTrack, RecordedTracks, ReferenceTrack
+from devices.recorded_tracks import ModuleTrack, RecordedTracks, ReferenceTrack
 from gateway.emulation.recordings import reference_at
 from gateway.frames import FloatArray
 from gateway.geometry.comparison import orientation_error, rmse_deg

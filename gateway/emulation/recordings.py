@@ -16,9 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from devices.deferred import Rotation
-from devices.emulators.recording_formats import METAL_TABLE_S
-from devices.emulators.recordings import RecordedTracks, ReferenceTrack, play
+from devices.emulators.data_sets import METAL_TABLE_S
+from devices.emulators.playback import play
 from devices.link import Chunk, Framing
+from devices.recorded_tracks import RecordedTracks, ReferenceTrack
 from gateway.agreement.world_alignment import align_world, aligned
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit

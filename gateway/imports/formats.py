@@ -18,7 +18,7 @@ from gateway.imports.segment_names import BODY
 from gateway.support.settings_files import load_settings
 
 if TYPE_CHECKING:
-    from devices.emulators.recordings import ModuleTrack, RecordedTracks
+    from devices.recorded_tracks import ModuleTrack, RecordedTracks
 
 _read_movella_dot = Deferred("devices.vendor_formats.movella_dot", "read_movella_dot")
 _read_ximu3 = Deferred("devices.vendor_formats.ximu3", "read_ximu3")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from devices.deferred import Rotation
-from devices.emulators.recordings import LocalTrack
+from devices.recorded_tracks import LocalTrack
 from firmware_protocol.samples import STANDARD_GRAVITY
 from gateway.body.body_file import load_body
 from gateway.body.skeleton import LocalDevice, WornSuit, field_vector, reduced

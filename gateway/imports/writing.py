@@ -9,8 +9,9 @@ from itertools import groupby
 from pathlib import Path
 
 from devices import recording_format as fmt
-from devices.emulators.recordings import RecordedTracks, play
+from devices.emulators.playback import play
 from devices.link import Chunk, Framing
+from devices.recorded_tracks import RecordedTracks
 from devices.recording_writer import DerivedRecordingWriter, RecordingWriter
 from gateway.body.skeleton import WornSuit
 from gateway.contract.ros_messages import BodyTransforms

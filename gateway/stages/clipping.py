@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from gateway.body.skeleton import SensorRanges
 from gateway.frames import ANGULAR_RATE, INERTIAL_SAMPLE, SPECIFIC_FORCE, Clipped, FloatArray, IntArray
 from gateway.geometry.compiled import compiled, for_types_of
+from gateway.sources.module_rows import MOST_MODULES
 
 FORCE_BIT, RATE_BIT = Clipped.SPECIFIC_FORCE.value, Clipped.ANGULAR_RATE.value
 FLAT_STEPS = 7
@@ -40,8 +41,6 @@ SMALLEST_RANGES = (15.0, 2.0)
 """m/s², rad/s: below the smallest ranges of sensors, ± 2 g and ± 125 °/s; nothing smaller is taken for an
 end."""
 
-MOST_MODULES = 256
-"""An id has one byte."""
 _NEVER_SEEN = -1
 
 _AXIS = np.dtype(

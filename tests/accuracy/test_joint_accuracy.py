@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from simulated_body import angular_error_deg, arm, imu_frames, instants, simulate
 
+from devices.emulators.data_sets import METAL_TABLE_S, read_repoimu_pendulum, read_ring_chain5
 from devices.emulators.motion.motions import generic_motion
-from devices.emulators.recording_formats import METAL_TABLE_S, read_repoimu_pendulum, read_ring_chain5
 from gateway.body.rig import load_rig
 from gateway.emulation.fast_arm import (
     IDEAL,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.emulators.recordings import ModuleTrack, RecordedTracks, ReferenceTrack
+from devices.recorded_tracks import ModuleTrack, RecordedTracks, ReferenceTrack
 from gateway.emulation.optical_reference import gyroscope_disagreement, in_time
 
 

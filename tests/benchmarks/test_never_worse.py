@@ -17,7 +17,7 @@ from benchmarks.never_worse.objective import score
 from benchmarks.never_worse.recordings import FAMILIES, backward, part
 from benchmarks.never_worse.report import report
 from benchmarks.never_worse.solving import Solution, live
-from devices.emulators.recordings import ModuleTrack, RecordedTracks, ReferenceTrack
+from devices.recorded_tracks import ModuleTrack, RecordedTracks, ReferenceTrack
 from gateway.frames import Status
 from gateway.geometry.comparison import orientation_error
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from devices.emulators.data_sets import read_ring_chain5
 from devices.emulators.emulated_suit import EmulatedSuit
-from devices.emulators.recording_formats import read_ring_chain5
-from devices.emulators.recordings import play
+from devices.emulators.playback import play
 from devices.emulators.transports import PtyTransport
 from gateway.body.rig import load_rig
 from gateway.emulation.recordings import orientations, score, solve

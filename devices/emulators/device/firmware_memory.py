@@ -18,12 +18,12 @@ from devices.emulators.bodies import FloatArray
 from devices.emulators.device.emulated_flash import provision
 from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.sensing.ideal_sensors import GRAVITY, MAGNETIC_FIELD, sense
-from devices.emulators.sensing.sample_encoding import SENSORS
 from firmware_protocol import InertialSample
 from firmware_protocol.device_settings import SETTINGS
 from firmware_protocol.fields import layout_of
 from firmware_protocol.flash_slots import SLOT_SIZE, SlotStore
 from firmware_protocol.messages import UNIQUE_ID_SIZE
+from firmware_protocol.samples import SENSORS
 
 SIZE = 16 << 20
 """Bytes of the memory; the file has holes and takes far less."""

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 
 from devices.emulators.device.sampling import SamplingTimer, Schedule
 from devices.emulators.device.sender import Sender, Timed
-from devices.emulators.sensing.sample_encoding import SENSORS
 from firmware_protocol import DeviceInfo, Health
-from firmware_protocol.samples import STANDARD_GRAVITY
+from firmware_protocol.samples import SENSORS, STANDARD_GRAVITY
 
 DEFAULT_RANGES: Mapping[str, float] = {
     "specific_force": 16 * STANDARD_GRAVITY,

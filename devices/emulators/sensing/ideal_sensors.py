@@ -16,7 +16,7 @@ import numpy as np
 from devices.emulators.bodies import FloatArray, IntArray
 from devices.emulators.motion.kinematics_truth import MotionState
 from devices.emulators.motion.motions import BodyMotion
-from firmware_protocol.samples import STANDARD_GRAVITY
+from firmware_protocol.samples import ACCELERATION, POSITION, STANDARD_GRAVITY, VELOCITY
 
 GRAVITY: FloatArray = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 """(3,) world ENU, m/s²."""
@@ -24,10 +24,9 @@ GRAVITY: FloatArray = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 MAGNETIC_FIELD: FloatArray = 49.0 * np.array([0.0, np.cos(np.radians(66.0)), -np.sin(np.radians(66.0))])
 """(3,) world ENU, µT: 49 µT dipping 66° below magnetic north, as in central Europe."""
 
-ACCELERATION, VELOCITY, POSITION = 1, 2, 3
-"""Quantities of a local measuring device, as numbered on the wire."""
 AIR_VELOCITY = 4
-"""Velocity in still air by pressure tubes: a packet of its own on the wire."""
+"""Quantity of a local measuring device beside those of ``LocalMeasurement``: velocity in still air by
+pressure tubes, a packet of its own on the wire."""
 
 
 @dataclass(frozen=True)

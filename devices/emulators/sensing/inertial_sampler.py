@@ -19,10 +19,11 @@ from devices.emulators.imperfections import Imperfections, ModuleErrors, module_
 from devices.emulators.sensing.disturbances import Disturbance, felt
 from devices.emulators.sensing.ideal_sensors import Sensed, SensedMotion, Wanted
 from devices.emulators.sensing.light_sampler import LightSampler, Sunlight
-from devices.emulators.sensing.sample_encoding import SENSORS, SampleEncoder
+from devices.emulators.sensing.sample_encoding import SampleEncoder
 from firmware_protocol import FusedSample
 from firmware_protocol.device_settings import factory_settings
 from firmware_protocol.fields import BYTE_ORDER, INTEGER_RANGE, layout_of
+from firmware_protocol.samples import SENSORS
 
 _NOISE_RATE_HZ = 100.0  # at which the settings state the noise
 _PURPOSE = 11

@@ -10,8 +10,9 @@ from devices.emulators.device.sampling import Sampling
 from devices.emulators.device.sender import Timed
 from devices.emulators.imperfections import module_random
 from devices.emulators.motion.motions import BodyMotion
-from devices.emulators.sensing.ideal_sensors import AIR_VELOCITY, VELOCITY, measure_point
+from devices.emulators.sensing.ideal_sensors import AIR_VELOCITY, measure_point
 from firmware_protocol import LocalMeasurement, PressureSample, encode_packet
+from firmware_protocol.samples import VELOCITY
 
 SEA_LEVEL_PA, ROOM_C = 101_325.0, 20.0
 AIR_DENSITY = SEA_LEVEL_PA / (287.05 * (ROOM_C + 273.15))

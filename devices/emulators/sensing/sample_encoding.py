@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from devices.emulators.bodies import FloatArray
 from firmware_protocol import InertialSample, InertialSampleFine
 from firmware_protocol.fields import BYTE_ORDER, INTEGER_RANGE, WireField, layout_of
+from firmware_protocol.samples import SENSORS
 
 BoolArray = NDArray[np.bool_]
-
-SENSORS = ("specific_force", "magnetic_field", "angular_rate")
-"""Attributes of the sensors, in wire order."""
 
 
 class SampleEncoder:

@@ -5,10 +5,11 @@ from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import EmulatedLocalDevice, emulated_body
 from devices.emulators.motion.motions import generic_motion
-from devices.emulators.sensing.ideal_sensors import AIR_VELOCITY, VELOCITY, measure_point
+from devices.emulators.sensing.ideal_sensors import AIR_VELOCITY, measure_point
 from devices.emulators.sensing.local_sampler import AIR_DENSITY
 from devices.emulators.suit_traffic import SuitTraffic
 from firmware_protocol import FrameDecoder, PacketDecoder, PressureSample
+from firmware_protocol.samples import VELOCITY
 
 TURN = np.array([0.5, 0.5, 0.5, 0.5])
 

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.emulators.delivery import Encoding
-from devices.emulators.emulated_suit import EmulatedSuit
-from devices.emulators.recording_formats import (
+from devices.emulators.data_sets import (
     LOCAL_DEVICE,
     read_broad,
     read_hipose_mtw17,
@@ -19,9 +17,12 @@ from devices.emulators.recording_formats import (
     read_repoimu_tstick,
     read_ring_chain5,
 )
-from devices.emulators.recordings import CLOCK_START_US, LocalTrack, ModuleTrack, RecordedTracks, play
+from devices.emulators.delivery import Encoding
+from devices.emulators.emulated_suit import EmulatedSuit
+from devices.emulators.playback import CLOCK_START_US, play
 from devices.emulators.transports import MemoryTransport
 from devices.link import Framing
+from devices.recorded_tracks import LocalTrack, ModuleTrack, RecordedTracks
 from firmware_protocol import (
     CanFrameDecoder,
     DeviceInfo,

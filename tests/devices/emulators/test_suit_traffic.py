@@ -16,7 +16,7 @@ from devices.emulators.imperfections import IDEAL, ROUGH, TYPICAL, Imperfections
 from devices.emulators.motion.motions import robot_arm_motion, walking_motion
 from devices.emulators.motion.waves import Fade
 from devices.emulators.sensing.ideal_sensors import GRAVITY, MAGNETIC_FIELD, sense
-from devices.emulators.sensing.sample_encoding import SENSORS, SampleEncoder
+from devices.emulators.sensing.sample_encoding import SampleEncoder
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Framing
 from firmware_protocol import (
@@ -34,6 +34,7 @@ from firmware_protocol import (
     encode_frame,
     encode_packet,
 )
+from firmware_protocol.samples import SENSORS
 
 AT_ONCE = Fade(rest_s=0.0, ramp_s=0.5)
 CAN, CAN_FD = Encoding(Framing.CAN), Encoding(Framing.CAN, is_fd=True)

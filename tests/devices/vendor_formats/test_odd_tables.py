@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from devices.emulators.recordings import play
+from devices.emulators.playback import play
 from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
 from devices.vendor_formats.gaps import index_of_times, rate_of
 from devices.vendor_formats.mvnx import read_mvnx

@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from devices.emulators.recordings import RecordedTracks, play
+from devices.emulators.playback import play
+from devices.recorded_tracks import RecordedTracks
 from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
 from devices.vendor_formats.movella_dot import read_movella_dot
 from devices.vendor_formats.mvnx import read_mvnx

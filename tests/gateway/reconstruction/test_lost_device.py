@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from devices.emulators.motion.motions import generic_motion
-from devices.emulators.sensing.ideal_sensors import POSITION, VELOCITY, measure_point
+from devices.emulators.sensing.ideal_sensors import measure_point
+from firmware_protocol.samples import POSITION, VELOCITY
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import LocalDevice
 from gateway.emulation.rig import dress

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from devices.emulators.data_sets import read_repoimu_pendulum, read_ring_chain5
 from devices.emulators.imperfections import PRESETS
-from devices.emulators.recording_formats import read_repoimu_pendulum, read_ring_chain5
 from gateway.body.rig import load_rig
 from gateway.emulation.recordings import imu_frames
 from gateway.emulation.rig import dress, move

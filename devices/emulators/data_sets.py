@@ -16,9 +16,9 @@ import numpy as np
 
 from devices.deferred import Rotation, loadmat
 from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import LocalTrack, ModuleTrack, RecordedTracks, ReferenceTrack, track_of
-from devices.emulators.sensing.ideal_sensors import POSITION
+from devices.recorded_tracks import LocalTrack, ModuleTrack, RecordedTracks, ReferenceTrack, track_of
 from devices.vendor_formats.xsens_text import read_mt_file
+from firmware_protocol.samples import POSITION
 
 LOCAL_DEVICE = 60
 """Module id under which optical positions are sent as those of a local measuring device."""
