@@ -21,6 +21,7 @@ from devices import recording_format as fmt
 from devices.extras import how_to_add
 from gateway.batch.job import Job, JobResult, Task, partial_folder, perform
 from gateway.errors import GatewayError
+from gateway.support.parent import end_with_parent
 
 _LATER_PART = re.compile(r"(.+)_part\d+$")
 _CONNECT_S = 10
@@ -86,19 +87,7 @@ def run_jobs(
 def _processes(count: int) -> Executor:
     # Not forked: numerical libraries have threads, which a fork would tear apart.
     context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent)
-
-
-def _end_with_parent() -> None:
-    """Have this process end when the one that started it was killed: it would wait for work for ever."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None, "a process of a pool"
-
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, name="parent", daemon=True).start()
+    return ProcessPoolExecutor(count, mp_context=context, initializer=end_with_parent)
 
 
 def _clear_away(job: Job) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import importlib.util
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -216,6 +217,11 @@ def _startable(settings: GatewaySettings, show: Callable[[str], object]) -> Gate
     return settings
 
 
+def _companion(*arguments: str) -> list[str]:
+    """Return what runs another command beside this one, and not beyond it."""
+    return [sys.executable, "-m", "gateway.cli.companion", str(os.getpid()), *arguments]
+
+
 @contextlib.contextmanager
 def _live_page(settings: GatewaySettings, page_port: int | None, console: Console) -> Iterator[None]:
     """Run ``mocap-gateway view`` as a process of its own meanwhile; print a hint without the extra."""
@@ -227,7 +233,7 @@ def _live_page(settings: GatewaySettings, page_port: int | None, console: Consol
         yield
         return
     arguments = ["view", "--wait", "--port", str(settings.mqtt.port), "--gateway", settings.gateway]
-    process = subprocess.Popen([sys.executable, "-m", "gateway", *arguments, "--page-port", str(page_port)])
+    process = subprocess.Popen(_companion(*arguments, "--page-port", str(page_port)))
     try:
         yield
     finally:
@@ -270,9 +276,7 @@ async def _emulator(settings: GatewaySettings, imperfections: str) -> AsyncItera
     arguments = ["emulate", "--rig", settings.rig, "--on", "pty", "--link", settings.links[0].url]
     arguments += ["--imperfections", imperfections, "--seed", str(SEED), "--json"]
     arguments += ["--mode", _sampling_mode(settings), "--motion", "everyday"]
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "gateway", *arguments, stdout=asyncio.subprocess.PIPE
-    )
+    process = await asyncio.create_subprocess_exec(*_companion(*arguments), stdout=asyncio.subprocess.PIPE)
     assert process.stdout is not None
     try:
         hello = await process.stdout.readline()
