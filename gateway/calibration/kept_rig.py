@@ -101,7 +101,7 @@ def name_for(config: Path, rig: Path) -> str:
     return rig.name if is_beside else str(rig.resolve())
 
 
-def told_to_use(rig: Path, config: Path | None) -> str:
+def words_to_use(rig: Path, config: Path | None) -> str:
     """Return what to tell after a rig file was written; config: where it is to be used, if that is known."""
     name = str(rig) if config is None else name_for(config, rig)
     return f"written to {rig}: use it as 'rig: {name}'"

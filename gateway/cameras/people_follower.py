@@ -56,7 +56,7 @@ class Detector(Protocol[Picture_contra]):
         of the picture."""
 
 
-class Follower(ABC, Generic[Picture_contra]):
+class RegionFollower(ABC, Generic[Picture_contra]):
     """Keeps a region for each person from picture to picture."""
 
     def __init__(self, network: Network[Picture_contra], detector: Detector[Picture_contra]) -> None:
@@ -122,7 +122,7 @@ class Follower(ABC, Generic[Picture_contra]):
         ]
 
 
-class PersonFollower(Follower[Picture_contra]):
+class PersonFollower(RegionFollower[Picture_contra]):
     """Follows one person, who has the number 0, whoever tells."""
 
     def _is_own(self, number: int) -> bool:
@@ -144,7 +144,7 @@ class PersonFollower(Follower[Picture_contra]):
             self._regions = {0: people[0].region}
 
 
-class PeopleFollower(Follower[Picture_contra]):
+class PeopleFollower(RegionFollower[Picture_contra]):
     """Follows several people: those whom the gateway names, and others by numbers of the camera's own."""
 
     def __init__(
@@ -196,7 +196,7 @@ class PeopleFollower(Follower[Picture_contra]):
 
 def follower_of(
     network: Network[Picture_contra], detector: Detector[Picture_contra], most: int
-) -> Follower[Picture_contra]:
+) -> RegionFollower[Picture_contra]:
     """Return what follows so many people at the most."""
     return PersonFollower(network, detector) if most == 1 else PeopleFollower(network, detector, most)
 

@@ -80,7 +80,7 @@ class Room(NamedTuple):
     raw: Bytes  # unstuffed bytes
 
 
-class Head(NamedTuple):
+class PacketHead(NamedTuple):
     """What is said of a packet before its body, and where in ``Room.raw`` that lies."""
 
     kind: int
@@ -166,7 +166,7 @@ def drop(decoder: Rows, defect: int) -> None:
 
 
 @compiled
-def _take_entry(room: Room, decoder: Rows, n: int, head: Head) -> int:
+def _take_entry(room: Room, decoder: Rows, n: int, head: PacketHead) -> int:
     """Append a packet's entry, or count its defect; return how many entries there are now."""
     how = int(room.treatments[head.kind])
     defect = _defect_of_packet(how, head.module, room.raw, head.start, head.stop)
@@ -195,7 +195,7 @@ def take_frame(room: Room, decoder: Rows, n: int, start: int, stop: int) -> int:
     at, end = start + HEADER_SIZE, stop - CHECKSUM_SIZE
     relayed_us = time_us if room.treatments[kind] == BATCH else -1
     if relayed_us < 0:
-        return _take_entry(room, decoder, n, Head(kind, module, sequence, time_us, relayed_us, at, end))
+        return _take_entry(room, decoder, n, PacketHead(kind, module, sequence, time_us, relayed_us, at, end))
     if module != RELAY:
         drop(decoder, BAD_MODULE)
         return n
@@ -207,7 +207,9 @@ def take_frame(room: Room, decoder: Rows, n: int, start: int, stop: int) -> int:
         kind, module = int(raw[at + ENTRY_KIND_AT]), int(raw[at + ENTRY_MODULE_AT])
         sequence = unsigned(raw, at + ENTRY_SEQUENCE_AT, SEQUENCE_SIZE)
         time_us = unsigned(raw, at + ENTRY_TIME_AT, TIME_SIZE)
-        n = _take_entry(room, decoder, n, Head(kind, module, sequence, time_us, relayed_us, body, body_end))
+        n = _take_entry(
+            room, decoder, n, PacketHead(kind, module, sequence, time_us, relayed_us, body, body_end)
+        )
         at = body_end
     if at < end:
         drop(decoder, TRUNCATED)

@@ -110,8 +110,8 @@ def test_spelling_axes_and_people_change_nothing(gait: list[MarkerTrial]) -> Non
 def test_the_fit_tells_what_it_leaves_out_and_keeps_the_files_names(gait: list[MarkerTrial]) -> None:
     trials = called(gait, lambda label: f"S1_{label}" if label else "")
     found = fit_body(load_marker_set("plug_in_gait"), trials)
-    assert len(found.left_out) == 10
-    assert {"thorax", "head", "left_hand"} <= set(found.left_out)
+    assert len(found.trials.left_out) == 10
+    assert {"thorax", "head", "left_hand"} <= set(found.trials.left_out)
     assert set(found.markers.labels) == {f"S1_{label}" for label in LEGS}
 
 
@@ -328,7 +328,7 @@ def test_whole_bodies_by_landmarks_have_the_arms_and_legs_of_the_same_markers_by
     found = fit_body(fitting_set(renamed), renamed)
     same = fit_body(load_marker_set("opensim_41"), opensim)
     assert found.marker_set == "ior_cast"
-    assert found.left_out == ("left_hand", "right_hand")
+    assert found.trials.left_out == ("left_hand", "right_hand")
     assert not found.too_few
     assert found.rmse < 0.004
     for name in ("upper_arm", "forearm", "thigh", "foot"):
