@@ -24,8 +24,8 @@ from vqf import VQF
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
 from benchmarks.joint_recordings import facing_of, read_qmt
-from devices.emulators.recording_formats import read_hipose_mtw17
-from devices.emulators.recordings import RecordedTracks, ReferenceTrack
+from devices.emulators.data_sets import read_hipose_mtw17
+from devices.recorded_tracks import RecordedTracks, ReferenceTrack
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.recordings import imu_frames, orientations, reference_at, solved

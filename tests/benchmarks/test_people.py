@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.people import in_axes_of_readings, plane_of
-from devices.emulators.recordings import ModuleTrack, RecordedTracks, ReferenceTrack
+from devices.recorded_tracks import ModuleTrack, RecordedTracks, ReferenceTrack
 from gateway.frames import FloatArray
 
 BONE = np.array([0.0, -0.6, 0.8])
