@@ -101,8 +101,8 @@ def name_for(config: Path, rig: Path) -> str:
     return rig.name if is_beside else str(rig.resolve())
 
 
-def words_to_use(rig: Path, config: Path | None) -> str:
-    """Return what to tell after a rig file was written; config: where it is to be used, if that is known."""
+def rig_advice(rig: Path, config: Path | None) -> str:
+    """Return what to say after a rig file was written; config: where it is to be used, if that is known."""
     name = str(rig) if config is None else name_for(config, rig)
     return f"written to {rig}: use it as 'rig: {name}'"
 

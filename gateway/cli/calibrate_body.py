@@ -136,7 +136,7 @@ def body(
     """
     from gateway.body.rig import load_rig
     from gateway.calibration.body_session import BodySession
-    from gateway.calibration.kept_rig import KeptRig, words_to_use
+    from gateway.calibration.kept_rig import KeptRig, rig_advice
     from gateway.calibration.mounting import write_mounted_rig
 
     settings = _settings(config, link, rig)
@@ -157,7 +157,7 @@ def body(
     if not taken:
         raise GatewayError("no module could be calibrated well enough: nothing was written; see the reasons")
     kept = write_mounted_rig(source, target, taken)
-    typer.echo(words_to_use(target, config), err=as_json)
+    typer.echo(rig_advice(target, config), err=as_json)
     if kept is not None:
         typer.echo(f"the earlier one is kept as {kept}", err=as_json)
     raise typer.Exit(0 if len(taken) == len(result.modules) else 1)

@@ -173,7 +173,7 @@ def sensors(
     The order does not matter; it ends when every module has shown enough. Ctrl-C takes what there is.
     """
     from gateway.body.rig import load_rig
-    from gateway.calibration.kept_rig import words_to_use
+    from gateway.calibration.kept_rig import rig_advice
     from gateway.calibration.rig_file import write_calibrated_rig
 
     rig, links = _rig_and_links(suit)
@@ -196,7 +196,7 @@ def sensors(
         typer.echo(_about_the_field(dip_deg, worn, is_written=target is not None), err=as_json)
     if target is not None and calibrations:
         write_calibrated_rig(source, target, calibrations, dip_deg=dip_deg)
-        typer.echo(words_to_use(target, suit.config), err=as_json)
+        typer.echo(rig_advice(target, suit.config), err=as_json)
     raise typer.Exit(0 if all(len(r) == len(session.sensors) for r in kept.values()) else 1)
 
 

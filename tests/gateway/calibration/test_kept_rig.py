@@ -14,7 +14,7 @@ from gateway.body.anthropometry import lengths_of
 from gateway.body.body_file import load_body
 from gateway.body.rig import load_rig
 from gateway.calibration.control import CalibrationControl
-from gateway.calibration.kept_rig import KeptRig, measured, words_to_use
+from gateway.calibration.kept_rig import KeptRig, measured, rig_advice
 from gateway.calibration.mounting import history
 from gateway.cli.main import app
 from gateway.errors import GatewayError
@@ -39,9 +39,9 @@ def config(tmp_path):
 def test_the_name_that_is_told_holds_wherever_the_gateway_is_started(config, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path.parent)
     rig = KeptRig("arm_3", config).target
-    assert words_to_use(rig, config) == f"written to {rig}: use it as 'rig: arm_3.worn.yaml'"
-    assert words_to_use(Path("mine.yaml"), config).endswith(f"'rig: {tmp_path.parent / 'mine.yaml'}'")
-    assert words_to_use(Path("mine.yaml"), None).endswith("'rig: mine.yaml'")
+    assert rig_advice(rig, config) == f"written to {rig}: use it as 'rig: arm_3.worn.yaml'"
+    assert rig_advice(Path("mine.yaml"), config).endswith(f"'rig: {tmp_path.parent / 'mine.yaml'}'")
+    assert rig_advice(Path("mine.yaml"), None).endswith("'rig: mine.yaml'")
 
 
 @pytest.mark.parametrize("what", ["body", "sensors", "clocks"])
