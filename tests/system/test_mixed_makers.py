@@ -20,7 +20,7 @@ from gateway.emulation.rig import dress, move_about
 from gateway.frames import InertialBatch, Status
 from gateway.geometry.comparison import orientation_error
 from gateway.outputs.settings import MqttSettings
-from gateway.pipeline import Pipeline
+from gateway.pipeline import Pipeline, sources_from_settings
 from gateway.recording import open_recording
 from gateway.recording.solving import verify
 from gateway.service.service import Service
@@ -103,15 +103,14 @@ def test_all_are_on_one_clock_and_the_body_moves_as_it_does():
 def test_samples_of_all_makers_are_dated_alike():
     """The lateness of a sample, arrival less instant, is the same by whatever maker, to a few ms."""
     worn = Worn(SECONDS)
-    pipeline = Pipeline.from_settings(
-        worn.settings(dict.fromkeys([OWN, *worn.others], "/dev/null")), worn.suit
-    )
+    settings = worn.settings(dict.fromkeys([OWN, *worn.others], "/dev/null"))
+    sources = sources_from_settings(settings, worn.suit)
     for link in pipeline_links(worn):
-        pipeline.add_link(*link)
+        sources.add_link(*link)
     late_ms = {module: [] for module in worn.ids.values()}
     for at_s, link, data in worn.said:
         chunk = Chunk(data, BEGUN_NS + round(at_s * 1e9), link)
-        for batch in pipeline.receive(chunk):
+        for batch in sources.by_link[link].receive(chunk):
             if isinstance(batch, InertialBatch) and at_s > SETTLED_S:
                 for sample in batch.samples[np.isfinite(batch.samples["measured"][:, 0, 0])]:
                     late_ms[int(sample["module"])].append((chunk.arrived_ns - int(sample["time_ns"])) * 1e-6)
