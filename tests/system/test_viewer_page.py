@@ -125,6 +125,7 @@ async def test_modules_that_share_an_id_are_set_up_on_the_page(
         await page.get_by_role("tab", name="1–3 Suit").click()
         await page.get_by_role("button", name="Look for modules").click()
         await page.get_by_text("2 modules have id").wait_for()
+        await page.get_by_text("devices heard").wait_for()  # which moves what is below it
         separate = page.get_by_role("button", name="Give them ids of their own")
         await separate.click()
         await page.get_by_text("Nothing is written yet").wait_for()
