@@ -41,6 +41,8 @@ QMT_SEGMENTS = {
     "foot_right": "right_foot",
 }
 """Names of the recording to segments; ``lower_back`` has none in the body of 17."""
+HIPOSE_STILL_S, QMT_STILL_S = (1.0, 4.0), (0.5, 3.5)
+"""From when to when the person stood in the neutral pose."""
 
 
 class JointTrial(NamedTuple):
@@ -93,7 +95,7 @@ def joint_trial(recording: RecordedTracks, still: tuple[float, float], reconstru
 
 def hipose(folder: Path) -> JointTrial:
     """17 modules with magnetometers, 60 Hz."""
-    return joint_trial(read_hipose_mtw17(folder), (1.0, 4.0), "independent")
+    return joint_trial(read_hipose_mtw17(folder), HIPOSE_STILL_S, "independent")
 
 
 def dressed(recording: RecordedTracks) -> WornSuit:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
-from benchmarks.joint_recordings import JointTrial, hipose, joint_trial, read_qmt
+from benchmarks.joint_recordings import QMT_STILL_S, JointTrial, hipose, joint_trial, read_qmt
 from devices.emulators.data_sets import METAL_TABLE_S, read_ring_chain5
 from devices.emulators.imperfections import TYPICAL
 from gateway.body.body_file import load_body
@@ -26,7 +26,6 @@ PUBLISHED = "<=6"
 """OpenSense against optical capture: 3–6° median RMS (Al Borno et al. 2022, J. NeuroEng. Rehab. 19:22)."""
 SECONDS = 30.0
 SETTLING_S = 5.0
-QMT_STILL_S = (0.5, 3.5)
 
 
 def run() -> Report:

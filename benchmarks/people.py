@@ -23,10 +23,9 @@ from vqf import VQF
 
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
-from benchmarks.joint_recordings import facing_of, read_qmt
+from benchmarks.joint_recordings import HIPOSE_STILL_S, QMT_STILL_S, dressed, facing_of, read_qmt
 from devices.emulators.data_sets import read_hipose_mtw17
 from devices.recorded_tracks import RecordedTracks, ReferenceTrack
-from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.recordings import imu_frames, orientations, reference_at, solved
 from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
@@ -104,8 +103,8 @@ def _mean(found: dict[str, Hinge], turned: bool = False) -> float:
 
 def _trials() -> Iterator[tuple[str, Trial]]:
     sources = (
-        ("hipose_mtw17", "hipose_mtw17", read_hipose_mtw17, (1.0, 4.0)),
-        ("qmt_fullbody16", "qmt_fullbody16/full_body_example_data.mat", read_qmt, (0.5, 3.5)),
+        ("hipose_mtw17", "hipose_mtw17", read_hipose_mtw17, HIPOSE_STILL_S),
+        ("qmt_fullbody16", "qmt_fullbody16/full_body_example_data.mat", read_qmt, QMT_STILL_S),
     )
     for name, path, read, still_s in sources:
         if (DATA / path).exists():
@@ -157,7 +156,7 @@ def solutions(trial: Trial) -> dict[str, dict[str, ReferenceTrack]]:
 
 def worn(trial: Trial) -> WornSuit:
     """Return the suit of anybody, its modules sitting as the maker's filter saw them in the neutral pose."""
-    recording, suit = trial.recording, load_rig("suit_17")
+    recording, suit = trial.recording, dressed(trial.recording)
     skeleton = suit.skeleton
     times = recording.references[0].times
     is_still = (times >= trial.still_s[0]) & (times <= trial.still_s[1])
@@ -166,18 +165,12 @@ def worn(trial: Trial) -> WornSuit:
         q_ws[:, skeleton.index(reference.name)] = reference_at(times, reference)
     facing = Rotation.from_rotvec([0.0, 0.0, facing_of(q_ws, is_still, skeleton)])
     stood = facing * Rotation.from_quat(skeleton.neutral, scalar_first=True)
-    sensor_to_segment = np.tile([1.0, 0.0, 0.0, 0.0], (len(skeleton.segment_names), 1))
-    names = [track.name for track in recording.modules]
-    rows = [names.index(name) if name in names else -1 for name in skeleton.segment_names]
-    for i, row in enumerate(rows):
+    sensor_to_segment = suit.sensor_to_segment.copy()
+    for i in np.flatnonzero(suit.module_of_segment >= 0):
         known = is_still & np.isfinite(q_ws[:, i]).all(axis=1)
-        if row >= 0:
-            module = Rotation.from_quat(q_ws[known, i], scalar_first=True).mean()
-            sensor_to_segment[i] = _wxyz(stood.inv() * module)
-    return replace(
-        suit, module_ids=recording.module_ids, module_of_segment=np.array(rows),
-        sensor_to_segment=sensor_to_segment, local_devices=(),
-    )  # fmt: skip
+        module = Rotation.from_quat(q_ws[known, i], scalar_first=True).mean()
+        sensor_to_segment[i] = _wxyz(stood.inv() * module)
+    return replace(suit, sensor_to_segment=sensor_to_segment)
 
 
 def _without_field(suit: WornSuit, interval_s: float, frames: list[ImuFrame]) -> list[SkeletonFrame]:

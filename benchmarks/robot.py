@@ -14,8 +14,7 @@ import icub_models
 import numpy as np
 
 from benchmarks.figures import Figure, table
-from benchmarks.joint_recordings import as_segments, dressed, facing_of, read_qmt
-from benchmarks.joints import QMT_STILL_S
+from benchmarks.joint_recordings import HIPOSE_STILL_S, QMT_STILL_S, as_segments, dressed, facing_of, read_qmt
 from benchmarks.never_worse.recordings import DATA
 from devices.emulators.data_sets import read_hipose_mtw17
 from devices.recorded_tracks import RecordedTracks
@@ -28,7 +27,7 @@ from gateway.frames import FloatArray, SkeletonFrame
 RATE_HZ = 100.0
 SETTLED_S = 1.0
 """A robot begins in its own posture and may turn no faster than its rates."""
-_STILL = {"hipose_mtw17": (1.0, 4.0), "qmt_fullbody16": QMT_STILL_S}
+_STILL = {"hipose_mtw17": HIPOSE_STILL_S, "qmt_fullbody16": QMT_STILL_S}
 
 
 class Followed(NamedTuple):
