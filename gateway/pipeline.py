@@ -107,7 +107,7 @@ class Pipeline:
         self.resets = Resets(suit.skeleton)
         self.skeleton_frames = 0
         self._stages: dict[Callable[[StageContext], Stage[Any]], Stage[Any]] = {}
-        self._routes: dict[str, tuple[Source, Stage[Any]]] = {}
+        self._stage_behind: dict[str, Stage[Any]] = {}  # by link
         self.module_stage = ModuleStage(self._stage_context)
         """The stage of modules, which is there whatever else is."""
         self._stages[ModuleStage] = self.module_stage
@@ -134,8 +134,8 @@ class Pipeline:
     def add_link(self, name: str, content: str) -> None:
         """Announce a link, before its first chunk. content: what it carries, as recordings keep it
         (``devices.link.content_of``). Raises ``SettingsError`` as ``expect`` does."""
-        _, stage = self.expect(name, content)
-        self._routes[name] = self._sources.add_link(name, content), stage
+        _, self._stage_behind[name] = self.expect(name, content)
+        self._sources.add_link(name, content)
 
     def expect(self, name: str, content: str) -> tuple[Source, Stage[Any]]:
         """Make what takes the chunks of a link, which may compile for a while.
@@ -146,11 +146,11 @@ class Pipeline:
 
     def source_of(self, link: str) -> Source:
         """Return what reads a link that was announced."""
-        return self._routes[link][0]
+        return self._sources.by_link[link]
 
     def stage_at(self, link: str) -> Stage[Any]:
         """Return the stage behind a link that was announced."""
-        return self._routes[link][1]
+        return self._stage_behind[link]
 
     def stage_of(self, observes: type[Observation]) -> Stage[Any]:
         """Return the stage that takes a kind of observation, made when it is first asked for."""
@@ -208,8 +208,8 @@ class Pipeline:
         return frames if stage is self.module_stage else []
 
     def _assembled(self, chunk: Chunk) -> tuple[Stage[Any], list[Any]]:
-        source, stage = self._routes[chunk.link]
-        return stage, stage.add(source.receive(chunk), chunk.arrived_ns)
+        stage = self._stage_behind[chunk.link]
+        return stage, stage.add(self._sources.receive(chunk), chunk.arrived_ns)
 
     def _solved(self, stage: Stage[Any], frames: list[Any]) -> list[SkeletonFrame]:
         if not frames:
