@@ -22,10 +22,11 @@ from benchmarks.emulated_bus import EmulatedBus
 from devices.emulators import IDEAL, EmulatedSuit, Encoding, SuitSettings, SuitTraffic
 from devices.emulators.faults.fault_plan import FaultPlan
 from devices.emulators.faults.faulty_suit import FaultySuit, pull_cable
-from devices.emulators.local_broker import free_port, mosquitto_program
+from devices.emulators.local_broker import mosquitto_program
 from devices.emulators.motion.motions import BodyMotion
 from devices.emulators.transports import PtyTransport
 from devices.emulators.transports.transport import Transport
+from devices.free_ports import free_port
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import LocalDevice, WornSuit

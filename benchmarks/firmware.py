@@ -23,8 +23,8 @@ from pathlib import Path
 from benchmarks.figures import replace_section
 from devices.conformance.bench import Bench
 from devices.emulators.device.firmware_memory import FirmwareMemory
-from devices.emulators.local_broker import free_port
 from devices.endpoints import link_from_url
+from devices.free_ports import free_port
 from firmware_protocol.commands import Verb
 from firmware_protocol.messages import LogLine
 

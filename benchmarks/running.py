@@ -26,7 +26,7 @@ import yaml
 
 from benchmarks.fault_bench import Broker
 from benchmarks.figures import Figure, Report, table
-from devices.emulators.local_broker import free_port
+from devices.free_ports import free_port
 
 RATE_HZ = 100.0
 STOPPED_S = 60.0

@@ -21,7 +21,8 @@ from benchmarks.figures import Figure, Report, table
 from benchmarks.latency import process_of
 from benchmarks.synthetic_poses import GATEWAY, INFO, RATE_HZ, frames_of, skeleton_of_size
 from benchmarks.viewer_browser import browser_page
-from devices.emulators.local_broker import free_port, mosquitto
+from devices.emulators.local_broker import mosquitto
+from devices.free_ports import free_port
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import MqttSettings
 

@@ -25,7 +25,8 @@ from playwright.async_api import FloatRect, Page, async_playwright
 from benchmarks.emulated_recording import LINK, record_walk
 from benchmarks.viewer_browser import browser_page
 from devices.emulators.faults.fault_plan import FaultPlan
-from devices.emulators.local_broker import free_port, mosquitto
+from devices.emulators.local_broker import mosquitto
+from devices.free_ports import free_port
 from gateway.emulation.rig import perform
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import random
 import shutil
 import socket
 import subprocess
@@ -12,9 +11,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from devices.free_ports import free_port
+
 _START_S = 5.0
-_PORTS = range(10_000, 32_000)
-"""Below those that systems give to connections: until a server listens, no connection takes it."""
 
 
 def mosquitto_program() -> str:
@@ -23,21 +22,6 @@ def mosquitto_program() -> str:
     if program is None:
         raise SystemExit("this suite needs mosquitto: apt install mosquitto")
     return program
-
-
-def free_port() -> int:
-    """Return a port of the loopback interface that is free, for TCP and UDP."""
-    while True:
-        # At random, so that tests which run at the same time hardly ever choose the same one.
-        port = random.SystemRandom().choice(_PORTS)
-        with (
-            contextlib.suppress(OSError),
-            socket.socket() as stream,
-            socket.socket(type=socket.SOCK_DGRAM) as datagram,
-        ):
-            stream.bind(("127.0.0.1", port))
-            datagram.bind(("127.0.0.1", port))
-            return port
 
 
 @contextlib.contextmanager

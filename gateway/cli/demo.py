@@ -23,6 +23,7 @@ from rich.live import Live
 from rich.table import Table
 
 from devices.extras import how_to_add
+from devices.free_ports import free_port
 from devices.link import gateway_time_ns
 from gateway.body.skeleton import WornSuit
 from gateway.cli.preparing import report_compiling, stand_in
@@ -141,7 +142,7 @@ def demo(
     suit = load_rig(rig)
     truth, is_interrupted = Truth(suit), True
     with tempfile.TemporaryDirectory(prefix="mocap-demo-") as folder, contextlib.suppress(KeyboardInterrupt):
-        ports = _free_port(port), websocket_port
+        ports = _port_or_free(port), websocket_port
         settings = _demo_settings(f"{folder}/suit", rig, reconstructor, clock, ports)
         show = partial(console.print, style="dim")
         usual = settings.reconstructor
@@ -150,7 +151,7 @@ def demo(
         service = _demo_service(settings, suit, usual, show)
 
         with contextlib.ExitStack() as beside:
-            beside.enter_context(_live_page(settings, _free_port(page_port) if page else None, console))
+            beside.enter_context(_live_page(settings, _port_or_free(page_port) if page else None, console))
             running = _run(service, settings, truth, imperfections, None if keep else seconds, beside)
             asyncio.run(running)
         is_interrupted = False
@@ -396,15 +397,11 @@ def _print_errors(truth: Truth, console: Console) -> None:
         )
 
 
-def _free_port(preferred: int) -> int:
+def _port_or_free(preferred: int) -> int:
     """Return the preferred port of the loopback interface, or another one when it is taken."""
-    for port in (preferred, 0):
-        with socket.socket() as probe:
-            # The port of a demo that has just ended may still be in TIME_WAIT, and can be had all the same.
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-            return int(probe.getsockname()[1])
-    raise GatewayError("no free TCP port on this machine for the embedded broker")
+    with socket.socket() as probe, contextlib.suppress(OSError):
+        # The port of a demo that has just ended may still be in TIME_WAIT, and can be had all the same.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind(("127.0.0.1", preferred))
+        return preferred
+    return free_port()

@@ -7,7 +7,6 @@ import re
 import secrets
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -19,6 +18,7 @@ from types import TracebackType
 from typing import Self
 
 from devices.extras import how_to_add
+from devices.free_ports import free_ports
 from gateway.contract.topics import Topics
 from gateway.errors import GatewayError
 from gateway.fleet.routes import CuttableRoutes
@@ -145,18 +145,6 @@ def program() -> str:
     return found
 
 
-def free_ports(number: int) -> list[int]:
-    """Return TCP ports of the loopback interface that nobody has."""
-    sockets = [socket.socket() for _ in range(number)]
-    try:
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [each.getsockname()[1] for each in sockets]
-    finally:
-        for each in sockets:
-            each.close()
-
-
 class Node:
     """One NATS server of a cluster, as a process on loopback."""
 
@@ -244,7 +232,6 @@ class Cluster:
         is_cuttable: whether the network between the nodes can be cut, by ``routes``.
         """
         self.routes: CuttableRoutes | None = None
-        # asked for together: ports that are given back may be given again
         free = free_ports(4 * NODES)
         ports = [free[index::NODES] for index in range(NODES)]
         routes = [[own[1] for own in ports]] * NODES

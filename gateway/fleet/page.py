@@ -21,7 +21,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
 from typing import Any, Self
 
-from gateway.fleet.cluster import free_ports
+from devices.free_ports import free_port
 from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings
 from gateway.support.credentials import AccessToken
 from gateway.viewer.gate import PASS_HEADER
@@ -107,7 +107,7 @@ class Bodies:
             return running[0]
 
     def _start(self, gateway: str) -> tuple[int, subprocess.Popen[bytes]]:
-        (port,) = free_ports(1)
+        port = free_port()
         settings = self._settings
         arguments = ["--host", settings.host, "--port", str(settings.port), "--gateway", gateway]
         arguments += [f"--failover={address}" for address in settings.failover]

@@ -10,6 +10,7 @@ import pytest
 
 from devices.emulators import EmulatedSuit, SuitSettings, SuitTraffic
 from devices.emulators.transports import SignedUdpTransport
+from devices.free_ports import free_port
 from devices.link import gateway_time_ns
 from devices.links.signed_link import read_key, time_count, write_key
 from firmware_protocol import Command, Defect, InertialSample, Verb, encode_frame, wire_frame
@@ -40,9 +41,7 @@ def key_file(tmp_path):
 
 @pytest.fixture
 def port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    return free_port()
 
 
 class Overheard(SignedUdpTransport):

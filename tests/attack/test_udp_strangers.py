@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import socket
 
 import pytest
 
 from devices.emulators import EmulatedSuit, SuitSettings, SuitTraffic
 from devices.emulators.transports import UdpTransport
 from devices.endpoints import link_from_url
+from devices.free_ports import free_port
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, move
@@ -35,12 +35,6 @@ def _short_looks(monkeypatch):
     """Ten modules that sample 25 times a second are heard, and answer, in a tenth of that."""
     monkeypatch.setattr("gateway.modules.session._LISTENED_S", 0.6)
     monkeypatch.setattr("devices.commands.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
-
-
-def free_udp_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def ten_modules(port):
@@ -70,7 +64,7 @@ async def pestered(stranger, port):
 
 async def test_all_ten_are_listed_and_each_is_found_beside_a_stranger(tmp_path, stranger, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    port = free_udp_port()
+    port = free_port()
     suit, traffic = ten_modules(port)
     where = ["--link", f"udp://127.0.0.1:{port}", "--rig", RIG]
     async with running(suit), pestered(stranger, port):
@@ -92,7 +86,7 @@ async def test_all_ten_are_listed_and_each_is_found_beside_a_stranger(tmp_path, 
 
 
 async def test_a_command_for_one_goes_to_its_sender_alone(tmp_path, stranger):
-    port = free_udp_port()
+    port = free_port()
     suit, _ = ten_modules(port)
     heard = set()
     async with running(suit):
@@ -113,7 +107,7 @@ async def test_a_command_for_one_goes_to_its_sender_alone(tmp_path, stranger):
 
 
 async def test_a_stranger_costs_no_sample_and_gets_no_time_request(mosquitto, stranger, until):
-    port = free_udp_port()
+    port = free_port()
     settings = GatewaySettings(
         links=[LinkSettings(name="wifi", url=f"udp://127.0.0.1:{port}")],
         rig=RIG,

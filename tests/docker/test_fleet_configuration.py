@@ -16,6 +16,7 @@ import aiomqtt
 import pytest
 import yaml
 
+from devices.free_ports import free_ports
 from gateway.errors import GatewayError
 from gateway.fleet import cluster
 from gateway.outputs.connection import broker_connection, unique_identifier
@@ -94,7 +95,7 @@ class Shipped:
     def __init__(self, folder: Path, server: str) -> None:
         self._folder, self._server = folder, server
         everybody = (*NODES, "site")
-        ports = iter(cluster.free_ports(len(everybody) * len(INSIDE)))
+        ports = iter(free_ports(len(everybody) * len(INSIDE)))
         self.ports = {name: {what: next(ports) for what in INSIDE} for name in everybody}
         cluster.write_users(folder, ["gw001", "gw002"], sites=["ward2"])
 

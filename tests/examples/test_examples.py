@@ -19,7 +19,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from devices.emulators.local_broker import free_port
+from devices.free_ports import free_port
 from gateway.body.rig import load_rig
 from gateway.contract.messages import BridgeInfo
 from gateway.frames import SkeletonFrame

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from devices.free_ports import free_port
 from devices.links.signed_link import read_key, time_count, write_key
-from devices.links.udp_link import UdpLink
 from firmware_protocol import (
     Acknowledgement,
     Command,
@@ -79,17 +79,9 @@ def running(program, module, port, flash):
             process.kill()
 
 
-async def free_port():
-    probe = UdpLink()
-    await probe.open()
-    port = probe.address[1]
-    await probe.close()
-    return port
-
-
 @pytest.mark.parametrize("is_signed", [False, True], ids=["plain", "signed"])
 async def test_several_are_listed_and_one_of_them_is_found(compiled, key_file, is_signed, tmp_path):
-    port = await free_port()
+    port = free_port()
     program = compiled(read_key(key_file).hex() if is_signed else None)
     query = f"&key_file={key_file}" if is_signed else ""
     with contextlib.ExitStack() as stack:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from devices.emulators.device.firmware_memory import FirmwareMemory
-from devices.emulators.local_broker import free_port
+from devices.free_ports import free_port
 from devices.link import Chunk
 from firmware_protocol import FrameDecoder, InertialSample, PacketDecoder
 from gateway.frames import InertialBatch

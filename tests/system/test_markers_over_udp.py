@@ -11,6 +11,7 @@ import numpy as np
 import orjson
 import pytest
 
+from devices.free_ports import free_port
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import BodyMarkers, Skeleton
 from gateway.contract.balances import unaccounted
@@ -23,7 +24,6 @@ from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.service.service import Service
 from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
-from tests.fixtures.brokers import free_port
 from tests.marked_person import places_of, subject_file, y_up
 from tests.patience import PATIENCE_S
 from tests.running_suit import running

@@ -14,9 +14,9 @@ import aiomqtt
 import orjson
 import pytest
 
+from devices.free_ports import free_port
 from gateway.errors import GatewayError
 from gateway.settings import load_gateway_settings
-from tests.fixtures.brokers import free_port
 from tests.fixtures.processes import REPOSITORY
 from tests.patience import PATIENCE_S
 

@@ -12,6 +12,7 @@ import numpy as np
 import orjson
 import pytest
 
+from devices.free_ports import free_port
 from gateway.body.rig import load_rig
 from gateway.errors import GatewayError, SettingsError
 from gateway.frames import FloatArray, MarkerFrame
@@ -23,7 +24,6 @@ from gateway.recording import open_recording
 from gateway.service.further_bodies import further_bodies
 from gateway.service.service import Service
 from gateway.settings import load_gateway_settings
-from tests.fixtures.brokers import free_port
 from tests.marked_person import places_of, subject_file, y_up
 from tests.patience import PATIENCE_S
 

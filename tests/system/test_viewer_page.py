@@ -8,7 +8,7 @@ import json
 import aiomqtt
 import pytest
 
-from devices.emulators.local_broker import free_port
+from devices.free_ports import free_port
 from gateway.body.rig import load_rig
 from gateway.contract.messages import BridgeState, PoseMessage, describe_body
 from gateway.contract.topics import Topics

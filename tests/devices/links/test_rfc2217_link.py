@@ -9,6 +9,7 @@ import pytest
 import serial
 from serial.rfc2217 import PortManager
 
+from devices.free_ports import free_port
 from devices.link import LinkError
 from devices.links.rfc2217_link import Rfc2217Link
 
@@ -62,7 +63,6 @@ async def test_bytes_pass_both_ways_and_the_loss_is_told(read_bytes):
 
 
 async def test_absent_server_is_told():
-    with socket.create_server(("127.0.0.1", 0)) as unused:
-        port = unused.getsockname()[1]
+    port = free_port()
     with pytest.raises(LinkError, match="check that a serial server listens there"):
         await Rfc2217Link("127.0.0.1", port).open()

@@ -7,6 +7,7 @@ import socket
 
 import pytest
 
+from devices.free_ports import free_port
 from devices.link import Framing, LinkError
 from devices.links.tcp_link import TcpLink
 from tests.patience import PATIENCE_S
@@ -136,8 +137,7 @@ async def test_closed_link_opens_again(joined, server, read_bytes):
 
 
 async def test_refused_connection_says_what_would_do():
-    with socket.create_server(("127.0.0.1", 0)) as unused:
-        port = unused.getsockname()[1]
+    port = free_port()
     with pytest.raises(LinkError, match=rf"127.0.0.1:{port} refused .* start what should listen there"):
         await TcpLink("127.0.0.1", port).open()
 
