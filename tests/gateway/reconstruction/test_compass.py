@@ -270,6 +270,31 @@ def test_a_body_whose_heading_a_device_shows_heads_as_it_did_while_its_root_is_l
     assert state.segments[1].compass.error_variance < 0.02
 
 
+def turned_at_once(unseen_square, wanted, variance, instants=200):
+    """How far a body turns within two seconds to compasses that are so far off, in radians."""
+    compass = initial_state(N, 1).segments[SEGMENT].compass
+    start_compass(compass, TUNING)
+    compass.settled_s, compass.rate_variance, turned = 100.0, 0.0, 0.0
+    for k in range(instants):
+        unseen = unseen_square if k == 0 else 0.0
+        turned += kernels._limited_turn(compass, wanted - turned, variance, unseen, TUNING, 0.01)
+    return turned
+
+
+@given(st.floats(0.01, 1.5), st.floats(-1.0, 1.0), st.floats(0.01, 1.0))
+def test_of_what_it_turned_unseen_a_body_believes_its_compasses_once(unseen, wanted, sigma):
+    """The same field, seen again and again, once turned it all the way."""
+    turned = turned_at_once(unseen**2, wanted, sigma**2)
+    most = wanted * unseen**2 / (unseen**2 + sigma**2)
+    slowly = abs(wanted) * 2.0 / TUNING.compass_finds_s + 1e-12
+    assert min(most, 0.0) - slowly <= turned <= max(most, 0.0) + slowly
+    assert abs(turned) >= 0.9 * abs(most) - 1e-12
+
+
+def test_without_anything_unseen_a_body_turns_to_its_compasses_slowly():
+    assert abs(turned_at_once(0.0, 1.0, 0.1**2)) < 0.04
+
+
 def test_a_whole_turn_of_one_compass_is_none():
     """The compass of a segment that was lost made all others seem a whole turn off."""
     body, state, work = a_settled_body(4)

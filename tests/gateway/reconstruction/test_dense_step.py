@@ -167,7 +167,13 @@ class Checked:
             self.compared["coast"] += 1
             w = (before.rate - before.bias) * np.exp(-dt / memory_s)
             self.hold_axes(before.gap, gap_after, w, dt)
-            return w, (coasted(gap + dt) - coasted(gap)) / dt
+            grown = coasted(gap + dt) - coasted(gap)
+            if before.gap.cause == Clip.NONE:
+                grown += before.gap.missed if gap > 0.0 else 0.0
+                if gap + dt <= tuning.longest_bridge_s:  # apart, until it is bridged
+                    assert gap_after.missed == pytest.approx(grown)
+                    grown = 0.0
+            return w, grown / dt
         is_made_up = before.gap.cause == Clip.LEFT
         is_bridged = gap > 0.0 and now.validity >= Validity.RATE and not is_made_up
         lasted = dt + gap if is_bridged else dt
@@ -181,10 +187,13 @@ class Checked:
             self.compared["clipped"] += 1
             self.hold_axes(before.gap, gap_after, w, dt)
             w, _, _, lasted_s = self.made_up(before, now, w, tuning, dt)
+            kept = before.gap.missed if gap > 0.0 else 0.0
+            if gap > 0.0 and np.isnan(before.gap.last_slope[0]):  # of a silence, which is not bridged now
+                density, kept = density + kept / dt, 0.0
             if lasted_s > tuning.longest_clip_s or lasted_s == 0.0:  # (69)
                 start = before.gap.slope if gap > 0.0 else before.rate_slope
                 grown = missed(start, gap + dt, tuning) - missed(start, gap, tuning)
-                density += (grown + (before.gap.missed if gap > 0.0 else 0.0)) / dt
+                density += (grown + kept) / dt
             return w, density
         if is_made_up:
             density += before.corrections.gyroscope * (change @ change) * lasted
@@ -200,8 +209,20 @@ class Checked:
         whole = w * (lasted if gap <= tuning.longest_bridge_s else known_s)  # (6) after a gap
         np.testing.assert_allclose(now.bridge, whole, atol=1e-13)
         off = square * memory_s * (lasted - known_s)  # known at both ends
-        variance = density * lasted + max(off - coasted(gap), 0.0)
+        variance = density * lasted + self.bridged(before, slope, change, gap, dt, off, coasted(gap), tuning)
         return (whole - before.gap.turn) / dt, variance / dt
+
+    def bridged(self, before, slope, change, gap, dt, off, coasted, tuning):
+        """What the end of a gap adds, rad²: (6) after a long one, (6a) after a short one."""
+        if gap > tuning.longest_bridge_s:
+            return max(off - coasted, 0.0)
+        lasted = gap + dt
+        bend = np.sum(((change / lasted - slope) / (0.5 * lasted + 0.5 * dt)) ** 2)
+        if np.isnan(bend):
+            return off
+        mean = bend if np.isnan(before.bend_square) else before.bend_square
+        mean += min(1.0, lasted / tuning.vibration_memory_s) * (bend - mean)
+        return min(off, max(bend, mean) * (lasted**3 / 12.0) ** 2)
 
     def hold_axes(self, before, after, w, dt):
         """(70): what axes at their ends have turned by, and the sums of where they were, as seen from now."""
@@ -396,9 +417,12 @@ class Checked:
             off = now.angular_rate - was.rate
             assert_close(is_now.rate, was.rate + gain * off)
             assert is_now.rate_square == pytest.approx(was.rate_square + gain * (off @ off - was.rate_square))
+            lasting = was.rate_lasting + gain * (off @ was.off_rate - was.rate_lasting)
+            assert is_now.rate_lasting == pytest.approx(lasting, abs=1e-15)
             if is_now.still_s > tuning.zero_rate_s:
                 self.compared["zero_rate"] += 1
-                v = tuning.zero_rate_sigma**2 * tuning.zero_rate_window_s / dt  # (36)
+                noise = max(is_now.rate_square - is_now.rate_lasting, 0.0) / 3.0
+                v = tuning.zero_rate_sigma**2 * tuning.zero_rate_window_s / dt + noise  # (36)
                 after = own(work)
                 added = (after[0] - before[0])[s, 3:, 3:]
                 np.testing.assert_allclose(added, np.eye(3) / v, rtol=1e-6, atol=1e-9 / v)
@@ -417,8 +441,6 @@ class Checked:
                 continue
             self.compared["velocity"] += 1
             old, noise = now.tilt_before, now.density * dt
-            if now.validity < Validity.RATE and 0.0 < was[s].gap.seconds <= tuning.longest_bridge_s:
-                old, noise = t, 0.0  # until it is bridged
             both = old + 0.5 * (t - old - noise)  # covariance of the tilt's error before with that after
             variance = before.variance + (g * before.tilted_s) ** 2 * old
             regression = g * before.tilted_s * np.clip(both / t, 0.0, 1.0) / g

@@ -90,6 +90,8 @@ def turn_as_clipped(segment: Segment, now: SegmentWork, tuning: Tuning, dt: floa
         begin_gap(segment)
     mean_rate_into(segment, now, dt)
     density = gyroscope_density(now, tuning)
+    if math.isnan(gap.last_slope[0]):  # a silence came before
+        density, gap.missed = density + gap.missed / dt, 0.0
     _follow_axes(segment, now, tuning, dt)
     for i in range(3):
         gap.turn[i] += now.mean_rate[i] * dt

@@ -236,7 +236,7 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
     _compare(links, segments, works, body.world.is_tree == 1, is_world_shown, tuning)
     weigh_compasses(segments, works, tuning)
     variance = _compass_variance(links, segments, works, tuning)
-    unseen = _turned_unseen(segments, works, tuning, dt)
+    unseen = _turned_unseen(segments, works, dt)
     # (32) from leaves to root: what a segment and all beyond it say of its error
     for s in range(len(links) - 1, -1, -1):
         now, p = works[s], links[s].parent
@@ -393,19 +393,17 @@ def _compass_variance(
 
 
 @compiled
-def _turned_unseen(
-    segments: Records[Segment], works: Records[SegmentWork], tuning: Tuning, dt: float
-) -> float:
-    """Return the variance, rad², by which the body may have turned in this instant while nothing was heard.
+def _turned_unseen(segments: Records[Segment], works: Records[SegmentWork], dt: float) -> float:
+    """Return the variance, rad², by which the body may have turned in this instant without being seen.
 
-    It is 0 while any module is heard, or has been until a gap that is bridged: that one holds the headings of
-    all.
+    It is 0 while any module has a rate, or had one until a gap that is bridged, over which the filter adds
+    nothing: that one holds the headings of all.
     """
     least = np.inf
     for s in range(len(segments)):
         if segments[s].started == STARTED:
-            is_seen = works[s].validity > NOTHING or segments[s].silent_s < tuning.longest_bridge_s
-            least = min(least, 0.0 if is_seen else works[s].density * dt)
+            now = works[s]
+            least = min(least, now.density * dt if now.validity < RATE else 0.0)
     return least if least < np.inf else 0.0
 
 
@@ -452,7 +450,7 @@ def _turn_body(
     wrong = variance / tuning.compass_clean**2
     wanted = turned - compass.share / (1.0 + wrong) * corrected
     compass.share = _compass_share(works[root], variance)
-    more = _limited_turn(compass, wanted, wrong, unseen, tuning, dt) - wanted
+    more = _limited_turn(compass, wanted, variance, unseen, tuning, dt) - wanted
     for s in range(root, len(links)):
         if segments[s].started == STARTED and root_of(links, s) == root:
             segments[s].compass.error += more
@@ -460,21 +458,28 @@ def _turn_body(
 
 @compiled
 def _limited_turn(
-    compass: Compass, wanted: float, wrong: float, unseen: float, tuning: Tuning, dt: float
+    compass: Compass, wanted: float, variance: float, unseen: float, tuning: Tuning, dt: float
 ) -> float:
     """Return what of the turn that is wanted (rad) a body makes at once, equation (34).
 
-    It is all of it while headings of the body are being found, and what it may have turned unseen; else only
-    as fast as the gyroscope may drift, and hardly at all where the field is wrong. compass: of the root.
+    It is all of it while headings of the body are being found. Else it is what compasses tell of what the
+    body has lately turned unseen, and beyond that no faster than the gyroscope may drift, and hardly at all
+    where the field is wrong. compass: of the root. variance: of compasses, rad². unseen: rad², of what may
+    be new in this instant.
     """
     compass.settled_s += dt
-    kept = compass.unseen_square * math.exp(-dt / tuning.heading_memory_s) + unseen
-    compass.unseen_square = min(kept, tuning.unknown_heading**2)
+    kept = math.exp(-dt / tuning.heading_memory_s)
+    compass.unseen_square = min(kept * compass.unseen_square + unseen, tuning.unknown_heading**2)
+    compass.unseen_turned *= kept
     if compass.settled_s <= tuning.compass_settles_s:
         return wanted
+    # (34a) τ_u
+    share = compass.unseen_square / max(compass.unseen_square + variance, LEAST_APART)
+    at_once = share * (wanted + compass.unseen_turned) - compass.unseen_turned
+    if at_once * wanted < 0.0:
+        at_once = 0.0
     drift = (math.sqrt(compass.rate_variance) + abs(wanted) / tuning.compass_finds_s) * dt
-    unseen_turn = math.sqrt(compass.unseen_square)
-    largest = (drift + unseen_turn) / (1.0 + wrong)
+    largest = abs(at_once) + drift / (1.0 + variance / tuning.compass_clean**2)
     turn = min(max(wanted, -largest), largest)
-    compass.unseen_square = max(unseen_turn - max(abs(turn) - drift, 0.0), 0.0) ** 2
+    compass.unseen_turned += math.copysign(min(abs(turn), abs(at_once)), turn)
     return turn

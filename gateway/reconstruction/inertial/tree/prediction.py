@@ -96,17 +96,30 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
     if gap.cause == CLIP_LEFT:
         density += make_up_clip(segment, now, tuning, dt) / dt
     segment.silent_s = 0.0
-    change = 0.0
+    change, bend = 0.0, 0.0
     for i in range(3):
         step = now.angular_rate[i] - segment.rate[i]
+        slope = step / lasted_s
         change += step**2
-        segment.rate_slope[i], segment.rate[i] = step / lasted_s, now.angular_rate[i]
+        bend += ((slope - segment.rate_slope[i]) / (0.5 * (lasted_s + dt))) ** 2
+        segment.rate_slope[i], segment.rate[i] = slope, now.angular_rate[i]
     # (5)  … + ν_s ‖ω_k − ω_{k−1}‖² Δt
     density += gyroscope_inflation(segment, change, lasted_s)
+    _note_bend(segment, bend, tuning, lasted_s)
     if now.bridged_s > 0.0 and gap.cause == CLIP_NONE:
-        density = _bridge(segment, now, tuning, density * lasted_s, lasted_s) / dt
+        density = _bridge(segment, now, tuning, density * lasted_s, lasted_s, bend) / dt
     gap.seconds, gap.cause = 0.0, CLIP_NONE
     return float(density)
+
+
+@compiled
+def _note_bend(segment: Segment, bend: float, tuning: Tuning, lasted_s: float) -> None:
+    """Update the mean square of the rate's second derivative by one, (rad/s³)²; NaN: it is not known."""
+    if math.isnan(bend):
+        return
+    if math.isnan(segment.bend_square):
+        segment.bend_square = bend
+    segment.bend_square += min(1.0, lasted_s / tuning.vibration_memory_s) * (bend - segment.bend_square)
 
 
 @compiled
@@ -128,22 +141,32 @@ def _end_gap(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> f
 
 
 @compiled
-def _bridge(segment: Segment, now: SegmentWork, tuning: Tuning, variance: float, lasted_s: float) -> float:
+def _bridge(
+    segment: Segment, now: SegmentWork, tuning: Tuning, variance: float, lasted_s: float, bend: float
+) -> float:
     """Set ``now.mean_rate`` where a gap ends, equation (6); return the variance that the step adds, rad².
 
     The rate turns the segment by all it has turned since the last sample, less what the prediction has turned
-    it by meanwhile. variance: of the gyroscope over ``lasted_s``, rad².
+    it by meanwhile. variance: of the gyroscope over ``lasted_s``, rad². bend: square of the rate's second
+    derivative over the gap, (rad/s³)²; NaN: it is not known.
     """
     gap, w, memory_s = segment.gap, now.mean_rate, tuning.longest_coast_s
     known_s = 2.0 * memory_s * math.tanh(lasted_s / (2.0 * memory_s))
+    is_short = gap.seconds <= tuning.longest_bridge_s
     # over a short time a rate goes evenly, over a long one it fades in between
-    counts_s = lasted_s if gap.seconds <= tuning.longest_bridge_s else known_s
+    counts_s = lasted_s if is_short else known_s
     for i in range(3):
         now.bridge[i] = w[i] * counts_s
         w[i] = (now.bridge[i] - gap.turn[i]) / (lasted_s - gap.seconds)
     # (6) of a process that is known at both ends
     off = _rate_square(segment, tuning) * memory_s * (lasted_s - known_s)
-    return float(variance + max(off - coasted_square(segment, tuning, gap.seconds), 0.0))
+    if not is_short:
+        return float(variance + max(off - coasted_square(segment, tuning, gap.seconds), 0.0))
+    gap.missed = 0.0
+    if not math.isnan(bend):
+        # (6a) no more than rates bend
+        off = min(off, max(bend, segment.bend_square) * (lasted_s**3 / 12.0) ** 2)
+    return float(variance + off)
 
 
 @compiled
@@ -166,7 +189,10 @@ def coasted_square(segment: Segment, tuning: Tuning, seconds: float) -> float:
 
 @compiled
 def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
-    """Set ``now.mean_rate`` of a silent module, (6); return its noise, (rad/s)²/Hz."""
+    """Set ``now.mean_rate`` of a silent module, (6); return its noise, (rad/s)²/Hz.
+
+    What it may have turned is kept apart in ``gap.missed`` while the gap may still be bridged.
+    """
     w, gap = now.mean_rate, segment.gap
     if gap.seconds == 0.0:
         # the rate below fades: what bridges the gap needs that of the last sample
@@ -182,7 +208,13 @@ def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> flo
     gap.seconds += dt
     # (6)  q Δt = V(t) − V(t − Δt)
     before = coasted_square(segment, tuning, gap.seconds - dt)
-    return float((coasted_square(segment, tuning, gap.seconds) - before) / dt)
+    variance = coasted_square(segment, tuning, gap.seconds) - before
+    if gap.cause == CLIP_NONE:
+        gap.missed += variance
+        if gap.seconds <= tuning.longest_bridge_s:
+            return 0.0
+        variance, gap.missed = gap.missed, 0.0
+    return float(variance / dt)
 
 
 @compiled

@@ -98,7 +98,7 @@ def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning:
     segment.started = STARTED
     segment.heading = UNOBSERVED if link.heading_observable else OBSERVED
     segment.silent_s, segment.averages.seconds, segment.velocity.waits_s = 0.0, 0.0, math.inf
-    segment.joint_nis = 1.0
+    segment.joint_nis, segment.bend_square = 1.0, np.nan
     segment.velocity.square = starting_speed_square(moved, tuning)
     segment.felt_square = tuning.start_tilt**2 * dot(world.gravity, world.gravity)
     _start_watches(segment)
@@ -148,7 +148,7 @@ def start_compass(compass: Compass, tuning: Tuning) -> None:
     compass.variance, compass.rate_variance = tuning.unknown_heading**2, tuning.bias**2
     compass.scatter, compass.offset_square = tuning.compass_scatter**2, tuning.start_heading**2
     compass.error, compass.error_variance, compass.settled_s = 0.0, tuning.unknown_heading**2, 0.0
-    compass.share, compass.unseen_square = 0.0, 0.0
+    compass.share, compass.unseen_square, compass.unseen_turned = 0.0, 0.0, 0.0
 
 
 @compiled
@@ -159,7 +159,10 @@ def _start_watches(segment: Segment) -> None:
         seen.sums[i], seen.sums_before[i] = 0.0, 0.0
     seen.seconds, seen.product, seen.square, seen.gyroscope, seen.rows = 0.0, 0.0, 0.0, 0.0, 0.0
     forget_evidence(heading)
-    watch.rate_square, watch.force_square, watch.still_s, segment.aids_s = 0.0, 0.0, 0.0, 0.0
+    watch.rate_square, watch.rate_lasting, watch.force_lasting = 0.0, 0.0, 0.0
+    watch.still_s, segment.aids_s = 0.0, 0.0
+    for i in range(3):
+        watch.off_rate[i], watch.off_force[i] = 0.0, 0.0
 
 
 @compiled

@@ -162,6 +162,7 @@ class Compass(Record):
     settled_s: float  # of a root: for how long no heading of its chain has been shown anew
     share: float  # of a root: of what its compasses say, where the filter says the rest
     unseen_square: float  # of a root: by which all of its body may have turned unseen, lately, rad²
+    unseen_turned: float  # of a root: by how much of that its compasses have turned its body back, rad
 
 
 class HeadingSums(Record):
@@ -180,8 +181,11 @@ class ZeroRateWatch(Record):
 
     rate: Vector  # mean, rad/s
     force: Vector  # mean, m/s²
-    rate_square: float  # mean square of what the rate is off its mean
-    force_square: float
+    off_rate: Vector  # what the last sample was off the mean, rad/s
+    off_force: Vector  # m/s²
+    rate_square: float  # mean square of what the rate is off its mean, (rad/s)²
+    rate_lasting: float  # mean product of what it is off in two samples in a row
+    force_lasting: float  # (m/s²)²
     still_s: float  # for how long both have been small
 
 
@@ -252,6 +256,7 @@ class Segment(Record):
     tilt_share: float  # of P of its tilt against its neighbours', as the joints around it agree
     rate: Vector  # last measured, bias included, rad/s
     rate_slope: Vector  # its change over the last step, rad/s²; NaN: not known
+    bend_square: float  # mean square of the rate's second derivative lately, (rad/s³)²; NaN: not known
     averages: Averages
     velocity: Velocity
     arms: LeverArms

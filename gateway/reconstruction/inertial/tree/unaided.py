@@ -49,18 +49,22 @@ def watch_zero_rate(watch: ZeroRateWatch, now: SegmentWork, tuning: Tuning, gain
     ``watch.rate`` then is the gyroscope's bias, rad/s. gain: of a low-pass of ``zero_rate_window_s`` over dt
     (s).
     """
-    rate_change, force_change = 0.0, 0.0
+    rate_square, rate_lasting, force_lasting = 0.0, 0.0, 0.0
     for i in range(3):
         off_rate, off_force = now.angular_rate[i] - watch.rate[i], now.specific_force[i] - watch.force[i]
-        rate_change += off_rate * off_rate
-        force_change += off_force * off_force
+        rate_square += off_rate * off_rate
+        # noise is new with each sample, motion is not
+        rate_lasting += off_rate * watch.off_rate[i]
+        force_lasting += off_force * watch.off_force[i]
+        watch.off_rate[i], watch.off_force[i] = off_rate, off_force
         watch.rate[i] += gain * off_rate
         watch.force[i] += gain * off_force
-    watch.rate_square += gain * (rate_change - watch.rate_square)
-    watch.force_square += gain * (force_change - watch.force_square)
+    watch.rate_square += gain * (rate_square - watch.rate_square)
+    watch.rate_lasting += gain * (rate_lasting - watch.rate_lasting)
+    watch.force_lasting += gain * (force_lasting - watch.force_lasting)
     is_still = (
-        watch.rate_square < tuning.zero_rate_change**2
-        and watch.force_square < tuning.zero_rate_force_change**2
+        watch.rate_lasting < tuning.zero_rate_change**2
+        and watch.force_lasting < tuning.zero_rate_force_change**2
     )
     is_still = is_still and dot(watch.rate, watch.rate) < tuning.largest_bias**2
     watch.still_s = watch.still_s + dt if is_still else 0.0
@@ -71,10 +75,12 @@ def watch_zero_rate(watch: ZeroRateWatch, now: SegmentWork, tuning: Tuning, gain
 def zero_rate_row(now: SegmentWork, segment: Segment, tuning: Tuning, dt: float) -> None:
     """Add the row that the mean rate of a segment at rest is its gyroscope's bias, equation (36)."""
     # (36) v
-    variance = tuning.zero_rate_sigma**2 * tuning.zero_rate_window_s / dt
+    watch = segment.zero_rate
+    noise = max(watch.rate_square - watch.rate_lasting, 0.0) / 3.0
+    variance = tuning.zero_rate_sigma**2 * tuning.zero_rate_window_s / dt + noise
     for i in range(3):
         now.evidence.own[3 + i, 3 + i] += 1.0 / variance
-        now.evidence.own_vector[3 + i] += (segment.zero_rate.rate[i] - segment.bias[i]) / variance
+        now.evidence.own_vector[3 + i] += (watch.rate[i] - segment.bias[i]) / variance
 
 
 # Zero acceleration: a segment that stands still is the rank-1 segment

@@ -14,7 +14,6 @@ from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot
-from gateway.reconstruction.inertial.tree.rates import is_short_gap
 from gateway.reconstruction.inertial.tree.start import tilt_square
 from gateway.reconstruction.inertial.tree.state import (
     Body,
@@ -35,15 +34,13 @@ NOTHING = Validity.NOTHING.value
 def predict_velocities(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
     """Carry the velocities of all segments on over dt (s), equations (39) and (39a).
 
-    A velocity begins anew after a gap over which forces need not change evenly. In shorter ones P is larger
-    than what is left of it as soon as they are bridged, so what a tilt has made of it stays.
+    A velocity begins anew after a gap over which forces need not change evenly.
     """
     segments, works = state.segments, work.segments
     for s in range(len(segments)):
         segment, now = segments[s], works[s]
         velocity = segment.velocity
-        if not is_short_gap(segment, now, tuning):
-            _forget_old_tilts(segment, now, body.world, dt)
+        _forget_old_tilts(segment, now, body.world, dt)
         velocity.waits_s += dt
         if now.is_felt:
             if velocity.waits_s - dt > tuning.longest_bridge_s:
