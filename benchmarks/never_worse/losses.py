@@ -1,4 +1,4 @@
-"""Recordings of modules that are not heard all the time: each by itself, the same ones for the same name."""
+"""Recordings of poorer modules, the same ones for the same name: not heard all the time, or full of noise."""
 
 from __future__ import annotations
 
@@ -23,6 +23,22 @@ BETWEEN_S = 10.0
 """Mean time in motion from one silence to the next, drawn from an exponential distribution."""
 IN_MOTION = 1.0
 """rad/s: a module that turns more slowly does not fall silent, since nothing is lost by that."""
+
+NOISE = {"angular_rate": 0.03, "specific_force": 0.3, "magnetic_field": 1.5}
+"""Of cheap sensors, or of a filter left open: standard deviation of a sample, rad/s, m/s² and µT."""
+
+
+def with_noise(case: Case, name: str) -> Case:
+    """Return the case as measured by sensors that are full of noise."""
+    rng = _drawing(name)
+
+    def noisy(frame: ImuFrame) -> ImuFrame:
+        values = {sensor: getattr(frame, sensor) for sensor in NOISE}
+        return replace(
+            frame, **{sensor: v + rng.normal(0.0, NOISE[sensor], v.shape) for sensor, v in values.items()}
+        )
+
+    return replace(case, name=name, kind="noisy", frames=[noisy(frame) for frame in case.frames])
 
 
 def with_losses(case: Case, name: str) -> Case:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.never_worse import peers, simulated, split, store
 from benchmarks.never_worse.case import TURNED, Case, Variant, in_turned_world
 from benchmarks.never_worse.judging import claims, errors, levelled
-from benchmarks.never_worse.losses import SILENCES_S, with_losses, with_silences
+from benchmarks.never_worse.losses import NOISE, SILENCES_S, with_losses, with_noise, with_silences
 from benchmarks.never_worse.objective import score
 from benchmarks.never_worse.recordings import FAMILIES, backward, part
 from benchmarks.never_worse.report import report
@@ -89,6 +89,17 @@ def test_a_tenth_of_the_samples_is_lost_the_same_ones_each_time(chain):
         assert np.array_equal(frame.angular_rate[~is_lost], whole.angular_rate[~is_lost])
     again = with_losses(chain, "random_chain_1_lossy")
     assert all(np.array_equal(a.status, b.status) for a, b in zip(lossy.frames, again.frames, strict=True))
+
+
+def test_noise_of_poorer_sensors_is_the_same_each_time_and_as_large_as_it_says():
+    arm = simulated.slow_arm_case(3)
+    noisy, again = (with_noise(arm, "slow_arm_3_noisy") for _ in range(2))
+    assert noisy.kind == "noisy"
+    for sensor, sigma in NOISE.items():
+        off, whole, same = (np.stack([getattr(f, sensor) for f in c.frames]) for c in (noisy, arm, again))
+        assert np.array_equal(off, same, equal_nan=True)
+        if np.isfinite(whole).all():
+            assert np.std(off - whole) == pytest.approx(sigma, rel=0.05)
 
 
 def test_modules_fall_silent_for_a_while_in_motion_the_same_ones_each_time():
