@@ -352,6 +352,12 @@ def _expect_unobserved(segment: Segment, now: SegmentWork, has_parent: bool, tun
 
 
 @compiled
+def _doubt(variance: float, tuning: Tuning) -> float:
+    """Return by how much less a heading counts that is off by a variance (rad²), 1 / κ_V of (34)."""
+    return float(1.0 + variance / tuning.compass_clean**2)
+
+
+@compiled
 def weigh_compasses(segments: Records[Segment], works: Records[SegmentWork], tuning: Tuning) -> None:
     """Set ``knows`` of each segment, k_s of (32): 1 of the surest compass, 0 where there is none.
 
@@ -362,7 +368,7 @@ def weigh_compasses(segments: Records[Segment], works: Records[SegmentWork], tun
         compass, now = segments[s].compass, works[s]
         now.knows = 0.0
         if compass.seconds > 0.0:
-            now.knows = 1.0 / (1.0 + (compass.variance + compass.tilt_square) / tuning.compass_clean**2)
+            now.knows = 1.0 / _doubt(compass.variance + compass.tilt_square, tuning)
             most = max(most, now.knows)
     for s in range(len(segments)):
         works[s].knows /= max(most, 1e-12)
@@ -384,7 +390,7 @@ def _compass_variance(
             seen += now.knows
             square += now.knows * (compass.variance + compass.offset_square)
             if p >= 0 and segments[p].compass.seconds > 0.0:
-                weight = now.knows * works[p].knows / (1.0 + now.apart / tuning.compass_clean**2)
+                weight = now.knows * works[p].knows / _doubt(now.apart, tuning)
                 weights += weight
                 differences += weight * (now.unwrapped - now.expected - works[p].unwrapped) ** 2
     if seen == 0.0:
@@ -447,8 +453,7 @@ def _turn_body(
     if is_world_shown:
         turned = segments[surest].compass.error - works[surest].error_before
     # a correction of the filter turns what is published by the filter's share alone
-    wrong = variance / tuning.compass_clean**2
-    wanted = turned - compass.share / (1.0 + wrong) * corrected
+    wanted = turned - compass.share / _doubt(variance, tuning) * corrected
     compass.share = _compass_share(works[root], variance)
     more = _limited_turn(compass, wanted, variance, unseen, tuning, dt) - wanted
     for s in range(root, len(links)):
@@ -479,7 +484,7 @@ def _limited_turn(
     if at_once * wanted < 0.0:
         at_once = 0.0
     drift = (math.sqrt(compass.rate_variance) + abs(wanted) / tuning.compass_finds_s) * dt
-    largest = abs(at_once) + drift / (1.0 + variance / tuning.compass_clean**2)
+    largest = abs(at_once) + drift / _doubt(variance, tuning)
     turn = min(max(wanted, -largest), largest)
     compass.unseen_turned += math.copysign(min(abs(turn), abs(at_once)), turn)
     return turn
