@@ -63,7 +63,11 @@ async def page_of(
         assert stranger.status == 401
         await page.goto(f"http://127.0.0.1:{unused_port}/?token={TOKEN}")
         assert TOKEN not in page.url
-        yield page, loaded
+        try:
+            yield page, loaded
+        except Exception:
+            print(f"what the page showed:\n{await page.locator('body').inner_text()}")
+            raise
     showing.cancel()
     await asyncio.gather(showing, return_exceptions=True)
     pages.close()

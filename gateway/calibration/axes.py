@@ -30,7 +30,8 @@ class MovementAxis:
     range_rad: float
     """From the least to the largest angle about it."""
     spread_rad: float
-    """Angle between the axes of the first and the second half of the movement."""
+    """Angle between the axes of the first and the second half of the movement, wherever in the step it was:
+    nobody begins on the second."""
     share: float
     """Of the squared angular rate, that about the axis: 1 for a pure rotation."""
 
@@ -45,11 +46,9 @@ def movement_axis(angular_rate: FloatArray, interval_s: float) -> MovementAxis |
     angle = np.cumsum(angular_rate @ axis) * interval_s
     if angle.mean() < 0.0:
         axis, angle = -axis, -angle
-    half = len(angular_rate) // 2
-    halves = [part[np.linalg.norm(part, axis=1) > _SLOW] for part in np.split(angular_rate, [half])]
     spread = np.pi / 2
-    if all(len(part) >= 10 for part in halves):
-        first, second = (_principal(part)[0] for part in halves)
+    if moving.sum() >= 20:
+        first, second = (_principal(half)[0] for half in np.array_split(angular_rate[moving], 2))
         spread = float(np.arccos(min(abs(float(first @ second)), 1.0)))
     return MovementAxis(axis, float(np.ptp(angle)), spread, share)
 

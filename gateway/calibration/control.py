@@ -30,6 +30,8 @@ from gateway.pipeline import RESET_EVENT, Pipeline
 
 STILL = np.radians(6.0)
 """Angular rate below which a module counts as still in the live display, rad/s."""
+FIRST_HEARD_S = 3.0
+"""So long a step waits for the first samples: a gateway that has just begun anew hears its modules soon."""
 
 ApplyEvent = Callable[[str, Mapping[str, Any]], dict[str, object]]
 """Hands an event to the pipeline and to the recording."""
@@ -118,15 +120,14 @@ class CalibrationControl:
             raise GatewayError("no calibration is under way: ask for calibration/begin first")
         return self._session
 
-    def _step(self, request: CalibrationStepRequest) -> dict[str, Any]:
+    async def _step(self, request: CalibrationStepRequest) -> dict[str, Any]:
         session = self._needed()
         step = session.step(request.step)
         if self._running is not None and not self._running.done():
             raise GatewayError(
                 f"step '{session.current or request.step}' is under way: wait until it is done"
             )
-        if not session.now_ns:
-            raise GatewayError("no module has been heard yet: are they switched on, and is the link right?")
+        await _hear(session)
         seconds = step.seconds if request.seconds is None else request.seconds
         self._result = None
         self._running = asyncio.create_task(
@@ -211,6 +212,16 @@ class CalibrationControl:
         version = restore(target, request.version)
         await self._wear(mounting_event(_as_modules(load_rig(str(target)))))
         return {"file": str(target), "version": version.stem}
+
+
+async def _hear(session: BodySession) -> None:
+    """Wait until a module has been heard. Raises ``GatewayError`` if none is within ``FIRST_HEARD_S``."""
+    loop = asyncio.get_running_loop()
+    ends_at = loop.time() + FIRST_HEARD_S
+    while not session.now_ns:
+        if loop.time() > ends_at:
+            raise GatewayError("no module has been heard yet: are they switched on, and is the link right?")
+        await asyncio.sleep(0.05)
 
 
 def _steps_message(session: BodySession) -> list[dict[str, Any]]:

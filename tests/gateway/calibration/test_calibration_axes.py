@@ -39,6 +39,15 @@ def test_movement_axis_that_changes_is_told():
     assert np.degrees(found.spread_rad) == pytest.approx(20.0, abs=0.5)
 
 
+def test_who_begins_late_has_still_turned_about_one_axis():
+    rng = np.random.default_rng(7)
+    t = np.arange(0.0, 5.0, INTERVAL_S)
+    rate = np.outer(np.where(t > 3.0, np.sin(2.0 * np.pi * (t - 3.0) / 1.0), 0.0), [0.0, 1.0, 0.0])
+    found = movement_axis(rate + rng.normal(0.0, 0.02, rate.shape), INTERVAL_S)
+    assert found is not None
+    assert np.degrees(found.spread_rad) < 2.0
+
+
 def test_no_movement_has_no_axis():
     assert movement_axis(np.zeros((500, 3)), INTERVAL_S) is None
 
