@@ -30,8 +30,8 @@ from gateway.pipeline import RESET_EVENT, Pipeline
 
 STILL = np.radians(6.0)
 """Angular rate below which a module counts as still in the live display, rad/s."""
-FIRST_HEARD_S = 3.0
-"""So long a step waits for the first samples: a gateway that has just begun anew hears its modules soon."""
+FIRST_FRAME_S = 3.0
+"""So long a step waits for the first samples: modules of a gateway that has just begun anew come soon."""
 
 ApplyEvent = Callable[[str, Mapping[str, Any]], dict[str, object]]
 """Hands an event to the pipeline and to the recording."""
@@ -127,7 +127,7 @@ class CalibrationControl:
             raise GatewayError(
                 f"step '{session.current or request.step}' is under way: wait until it is done"
             )
-        await _hear(session)
+        await _wait_for_frames(session)
         seconds = step.seconds if request.seconds is None else request.seconds
         self._result = None
         self._running = asyncio.create_task(
@@ -214,10 +214,10 @@ class CalibrationControl:
         return {"file": str(target), "version": version.stem}
 
 
-async def _hear(session: BodySession) -> None:
-    """Wait until a module has been heard. Raises ``GatewayError`` if none is within ``FIRST_HEARD_S``."""
+async def _wait_for_frames(session: BodySession) -> None:
+    """Wait until there is a frame. Raises ``GatewayError`` if there is none within ``FIRST_FRAME_S``."""
     loop = asyncio.get_running_loop()
-    ends_at = loop.time() + FIRST_HEARD_S
+    ends_at = loop.time() + FIRST_FRAME_S
     while not session.now_ns:
         if loop.time() > ends_at:
             raise GatewayError("no module has been heard yet: are they switched on, and is the link right?")

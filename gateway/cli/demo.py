@@ -391,7 +391,7 @@ def _print_errors(truth: Truth, console: Console) -> None:
     console.print(table)
     if np.isfinite(mean[0]):
         console.print(
-            f"This means: a segment was shown {mean[0]:.1f}° off the emulated person's own on average, "
+            f"This means: a segment was shown {mean[0]:.1f}° off the emulated body's own on average, "
             f"{mean[1]:.1f}° of it as tilt and {mean[2]:.1f}° as heading.",
             highlight=False,
         )

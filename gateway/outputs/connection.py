@@ -53,7 +53,7 @@ class Inbox(asyncio.Queue[aiomqtt.Message]):
         self._on_full = on_full
 
     def put_nowait(self, item: aiomqtt.Message) -> None:
-        """Raises ``QueueFull``."""
+        """Put a message into the queue. Raises ``QueueFull``."""
         size = _size(item)
         if self.full() or size > LARGEST_MESSAGE or self._bytes + size > LARGEST_INBOX:
             if self._on_full is not None:
@@ -147,7 +147,7 @@ _NUMBER = re.compile(r"\[(Errno -?\d+|code:\d+)\] ")
 
 
 def broker_back_off() -> BackOff:
-    """Waits between attempts to reach a broker: short, since poses are lost meanwhile."""
+    """Return the waits between attempts to reach a broker: short, since poses are lost meanwhile."""
     return BackOff(0.2, 1.0)
 
 

@@ -34,7 +34,7 @@ _SENSORS: dict[str, dict[str, Any]] = {
 
 
 def discovery(prefix: str, topics: Topics, info: BridgeInfo) -> Iterator[tuple[str, bytes]]:
-    """(topic, payload), to be retained: for the gateway, and for each module of its rig."""
+    """Return (topic, payload) to be retained: for the gateway, and for each module of its rig."""
     node = f"mocap_{info.gateway}"
     gateway = {
         "identifiers": [node],

@@ -48,7 +48,7 @@ class LslSink:
         self._outlet = self._pylsl.StreamOutlet(info)
 
     def send(self, frame: SkeletonFrame) -> bool:
-        """LSL buffers for whoever listens, and drops for whoever does not read."""
+        """Send a pose: LSL buffers for whoever listens, and drops for whoever does not read."""
         age_s = (gateway_time_ns() - frame.time_ns) * 1e-9
         self._outlet.push_sample(frame.q_wb.ravel().tolist(), self._pylsl.local_clock() - age_s)
         return True

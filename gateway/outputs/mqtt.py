@@ -192,7 +192,7 @@ class MqttOutput:
         return self._info
 
     def health(self) -> BridgeHealth:
-        """As it would be published now."""
+        """Return the health message as it would be published now."""
         statistics = plain_json(self._health())
         accounting = TypeAdapter(dict[str, AccountBalance]).validate_python(statistics.pop("accounting", {}))
         return BridgeHealth(
@@ -364,7 +364,7 @@ class MqttOutput:
         await first_to_end(self._listen(client), self._serve(client), *self._watch(client))
 
     def _lost_main(self, error: Exception) -> None:
-        """Raises ``NameTaken``, which is no loss."""
+        """Note that a connection was lost. Raises ``NameTaken``, which is no loss."""
         if isinstance(error, NameTaken):
             raise error
         if self._cluster is not None:
@@ -384,7 +384,7 @@ class MqttOutput:
         return parts
 
     def _may_send_late(self) -> bool | None:
-        """Whether late poses are to go out now; None: over another broker, to which live ones go."""
+        """Return whether late poses are to go out now; None: over another broker, to which live ones go."""
         if self._cluster is None:
             return self.is_connected
         if self.is_connected and self._cluster.settings != self._turns.settings:
@@ -392,7 +392,7 @@ class MqttOutput:
         return self.is_connected and not self._cluster.is_apart
 
     async def _listen(self, client: aiomqtt.Client) -> None:
-        """Until the connection ends; raises ``aiomqtt.MqttError`` when it was lost."""
+        """Listen for others of this name until the connection ends. Raises ``aiomqtt.MqttError`` if lost."""
         async for message in client.messages:
             if self._name.take(message) and not self._stopping.is_set():
                 self._retained.keep(self.topics.bridge_info, self._info.payload())
@@ -426,13 +426,13 @@ class MqttOutput:
             await client.publish(topic, b"", qos=1, retain=True)
 
     async def _publish_health_regularly(self, client: aiomqtt.Client) -> None:
-        """Until stopped."""
+        """Publish health every few seconds until stopped."""
         while not self._stopping.is_set():
             await self._publish_health(client)
             await nap(self._settings.health_interval, self._stopping)
 
     async def _publish_poses(self, client: aiomqtt.Client, direct: DirectPublisher) -> None:
-        """And health, until stopped."""
+        """Publish poses, and health, until stopped."""
         with self._poses.open(direct):
             while not self._stopping.is_set():
                 self._poses.wake.clear()
@@ -479,7 +479,7 @@ class MqttOutput:
         await self._publish_offline(client)
 
     def _report_outage(self, error: Exception) -> None:
-        """One warning for a broker that is away, one more if it then refuses us."""
+        """Warn once of a broker that is away, and once more if it then refuses us."""
         if self.is_connected:
             where = self._where
             reason = reason_of(error.__cause__ or error)  # aiomqtt's own says only that it was lost
@@ -501,14 +501,14 @@ class MqttOutput:
         return self._turns.settings if self._cluster is None else self._cluster.settings
 
     def _complain(self, kind: str, complaint: str) -> None:
-        """A warning, once a kind until the next connection."""
+        """Warn, once a kind until the next connection."""
         if kind not in self._complaints:
             self._complaints.add(kind)
             logger.warning("%s", complaint)
 
 
 def _broker_of(settings: MqttSettings) -> BrokerProcess:
-    """The embedded broker that a configuration asks for. Raises ``CredentialError``."""
+    """Return the embedded broker that a configuration asks for. Raises ``CredentialError``."""
     return BrokerProcess(
         settings.port, settings.websocket_port, settings.websocket_origins, settings.read_websocket_token()
     )

@@ -65,7 +65,7 @@ class _Moment:
     change: FloatArray  # (S, 3) rad/s²
 
     def turned(self, ahead_s: float) -> FloatArray:
-        """(S, 4) ``q_wb`` so much later."""
+        """Return ``q_wb`` (S, 4) so much later."""
         return _turned(self.q_wb, self.rate, self.change, ahead_s)
 
 
@@ -190,7 +190,7 @@ class PosePredictor:
     def _positions(
         self, frame: SkeletonFrame, last: SkeletonFrame | None, q_wb: FloatArray, ahead_s: float
     ) -> FloatArray:
-        """(S, 3) m: joints move with the segments that they hang from, and all as the root did lately."""
+        """Return (S, 3) m: joints move with the segments that they hang from, all as the root did lately."""
         parents, offsets, origin = self._skeleton.parents, self._skeleton.offsets, np.zeros(3)
         moved = joint_positions(parents, offsets, q_wb, origin) - joint_positions(
             parents, offsets, frame.q_wb, origin
@@ -205,7 +205,7 @@ class PosePredictor:
 
 @compiled
 def _turned(q_wb: FloatArray, rate: FloatArray, change: FloatArray, ahead_s: float) -> FloatArray:
-    """(S, 4) orientations ``ahead_s`` later, of rates (S, 3) rad/s and their changes (S, 3) rad/s²."""
+    """Return orientations (S, 4) ``ahead_s`` later, of rates (S, 3) rad/s and their changes (S, 3) rad/s²."""
     turned = np.empty_like(q_wb)
     fading = CHANGE_FADES_S
     weight = fading**2 * (ahead_s / fading - 1.0 + math.exp(-ahead_s / fading))

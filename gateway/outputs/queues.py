@@ -120,7 +120,7 @@ class RetainedMessages:
         return list(self._newest)
 
     def begin_again(self) -> None:
-        """Nothing has been sent yet, on this connection."""
+        """Forget what was sent: this connection is a new one."""
         self._unsent = dict.fromkeys(self._newest)
 
     async def publish(self, client: aiomqtt.Client) -> None:

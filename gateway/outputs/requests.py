@@ -176,7 +176,7 @@ class RequestLine:
             self._connected.clear()
 
     async def _take_all(self, client: aiomqtt.Client) -> None:
-        """Until the connection ends; raises ``aiomqtt.MqttError`` when it was lost."""
+        """Take requests until the connection ends. Raises ``aiomqtt.MqttError`` when it was lost."""
         async for message in client.messages:
             await self._in_time()
             await self._taken.wait()
@@ -222,7 +222,7 @@ class RequestResponder:
         return self._line.dropped
 
     def statistics(self) -> dict[str, object]:
-        """For the health message."""
+        """Return counters for the health message."""
         return {"answered": self.answered, "dropped": self.dropped, "waiting": len(self._under_way)}
 
     def follow(self, former: RequestResponder) -> None:

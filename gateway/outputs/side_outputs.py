@@ -33,7 +33,7 @@ class Sink(Protocol):
     """Where poses go. Nothing here waits for whoever reads them."""
 
     async def open(self) -> None:
-        """Raises ``OutputError``."""
+        """Open what poses go to. Raises ``OutputError``."""
 
     def send(self, frame: SkeletonFrame) -> bool:
         """Send a frame; return whether the system took all of it. May raise ``OSError``."""

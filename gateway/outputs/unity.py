@@ -70,7 +70,7 @@ def unity_rotation(q_w: FloatArray) -> FloatArray:
 
 
 def t_pose(skeleton: Skeleton) -> FloatArray:
-    """(n_segments, 4) ``q_tb``: every segment to the world in a T-pose, facing north."""
+    """Return ``q_tb`` (n_segments, 4): every segment to the world in a T-pose, facing north."""
     q_tb = np.tile(quaternion.multiply(_TO_NORTH, skeleton.neutral), (skeleton.n_segments, 1))
     for s, name in enumerate(skeleton.segment_names):
         side, _, part = name.partition("_")
@@ -122,7 +122,7 @@ class AvatarPoses:
         self._offsets = self._rest_offsets()
 
     def update(self, frame: SkeletonFrame) -> tuple[FloatArray, FloatArray]:
-        """(n_bones, 3) and (n_bones, 4): each bone in its parent, Unity axes, m and xyzw.
+        """Return (n_bones, 3) and (n_bones, 4): each bone in its parent, Unity axes, m and xyzw.
 
         A body whose place is not known stands on the ground.
         """
@@ -150,7 +150,7 @@ class AvatarPoses:
         return np.array([0.0, 0.0, -lowest_point(skeleton, self._q_wb, p_w)])
 
     def _rest_offsets(self) -> FloatArray:
-        """(n_bones, 3) each bone from its parent in the T-pose, Unity axes, m."""
+        """Return (n_bones, 3): each bone from its parent in the T-pose, Unity axes, m."""
         skeleton = self._skeleton
         p_w = joint_positions(skeleton.parents, skeleton.offsets, t_pose(skeleton), np.zeros(3))
         at = np.array([p_w[bone.segment] for bone in self.bones]).reshape(-1, 3)
