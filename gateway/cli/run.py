@@ -177,6 +177,9 @@ class _Supervisor:
         try:
             await self._task
         except asyncio.CancelledError:
+            own = asyncio.current_task()
+            if own is not None and own.cancelling():  # not the service alone: none follows it
+                raise
             if self._next is None:
                 log.info("stopped")
         except GatewayError as error:

@@ -124,6 +124,15 @@ async def assert_at_work(gateway, service):
     assert status == 200
 
 
+async def test_nothing_follows_where_all_is_cancelled_as_another_service_takes_over(gateway):
+    gateway.write()
+    await gateway.supervisor._read_anew(switch_after_s=60.0)
+    cancelled, gateway.task = gateway.task, asyncio.create_task(asyncio.sleep(0.0))
+    cancelled.cancel()
+    await asyncio.wait([cancelled], timeout=20.0)
+    assert cancelled.cancelled()
+
+
 async def test_a_broker_that_refuses_us_leaves_the_old_service_at_work(gateway):
     """One that is away is waited for; one that says no will say so for ever."""
 
