@@ -30,8 +30,8 @@ class MovementAxis:
     range_rad: float
     """From the least to the largest angle about it."""
     spread_rad: float
-    """Angle between the axes of the first and the second half of the movement, wherever in the step it was:
-    nobody begins on the second."""
+    """Angle between the axes of the first and the second half of the movement, wherever in the step that
+    lies: nobody begins at once."""
     share: float
     """Of the squared angular rate, that about the axis: 1 for a pure rotation."""
 

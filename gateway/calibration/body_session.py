@@ -88,6 +88,11 @@ class BodySession:
         """Instant of the newest frame; 0 before the first."""
         return self._frames[-1].time_ns if self._frames else 0
 
+    def refuse_without_frames(self) -> None:
+        """Raise ``GatewayError`` if there has been no frame yet."""
+        if not self._frames:
+            raise GatewayError("no module has been heard yet: are they switched on, and is the link right?")
+
     def begin(self, name: str, segments: Iterable[str] | None = None) -> None:
         """Begin a step with the next frame.
 
@@ -96,8 +101,7 @@ class BodySession:
         segments: those for which the new recording counts (to redo one module); None: all.
         """
         self.step(name)
-        if not self._frames:
-            raise GatewayError("no module has been heard yet: are they switched on, and is the link right?")
+        self.refuse_without_frames()
         self._chosen = self._modules(segments)
         self.current, self._begun_ns = name, self.now_ns
 

@@ -218,10 +218,9 @@ async def _wait_for_frames(session: BodySession) -> None:
     """Wait until there is a frame. Raises ``GatewayError`` if there is none within ``FIRST_FRAME_S``."""
     loop = asyncio.get_running_loop()
     ends_at = loop.time() + FIRST_FRAME_S
-    while not session.now_ns:
-        if loop.time() > ends_at:
-            raise GatewayError("no module has been heard yet: are they switched on, and is the link right?")
+    while not session.now_ns and loop.time() < ends_at:  # noqa: ASYNC110 - polled
         await asyncio.sleep(0.05)
+    session.refuse_without_frames()
 
 
 def _steps_message(session: BodySession) -> list[dict[str, Any]]:

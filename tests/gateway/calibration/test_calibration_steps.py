@@ -37,7 +37,7 @@ async def test_a_step_waits_for_the_first_frame(begun):
     asyncio.get_running_loop().call_later(0.2, lambda: pipeline.module_stage.on_frame(frame))
     answer = await control.perform("step", {"step": "n_pose"})
     assert answer["step"] == "n_pose"
-    await asyncio.sleep(0.0)
+    await asyncio.sleep(0.0)  # the step's own task begins
     assert (await control.perform("status", {}))["phase"] == "get ready for n_pose"
 
 
