@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gateway.reconstruction.inertial.tree.prediction import watch_vibration
 from gateway.reconstruction.inertial.tree.start import second_order_variance
 from gateway.reconstruction.inertial.tree.state import initial_state
 from gateway.reconstruction.inertial.tree.tuning import tuning
+from gateway.reconstruction.inertial.tree.vibration import watch_vibration
 
 DT, TUNING = 0.01, tuning()
 

@@ -199,7 +199,7 @@ class SunSums(Record):
 
 
 class Vibration(Record):
-    """Vibration that an accelerometer measures; see ``prediction.watch_vibration``."""
+    """Vibration that an accelerometer measures; see ``vibration.watch_vibration``."""
 
     square: float  # mean, of a component, (m/s²)²
     samples: float
