@@ -1,4 +1,4 @@
-"""Recordings of poorer modules, the same ones for the same name: not heard all the time, or full of noise."""
+"""Recordings of poorer modules, the same ones for the same name: with losses, full of noise, or knocked."""
 
 from __future__ import annotations
 
@@ -26,6 +26,32 @@ IN_MOTION = 1.0
 
 NOISE = {"angular_rate": 0.03, "specific_force": 0.3, "magnetic_field": 1.5}
 """Of cheap sensors, or of a filter left open: standard deviation of a sample, rad/s, m/s² and µT."""
+
+KNOCKS_EVERY_S = 1.0
+"""Mean time from one knock at a module to the next, drawn from an exponential distribution."""
+KNOCK = {"angular_rate": 1.0, "specific_force": 40.0}
+"""What a knock adds at once, in a direction of its own for each sensor, rad/s and m/s²."""
+KNOCK_HZ, KNOCK_FADES_S = 25.0, 0.02
+"""How what is knocked rings, and for how long."""
+
+
+def with_knocks(case: Case, name: str) -> Case:
+    """Return the case with modules that are knocked at from when the motion begins, each on its own."""
+    rng, T, shape = _drawing(name), len(case.frames), case.frames[0].specific_force.shape
+    age_s = np.arange(0.0, 5.0 * KNOCK_FADES_S, case.interval_s)
+    ringing = np.exp(-age_s / KNOCK_FADES_S) * np.cos(2.0 * np.pi * KNOCK_HZ * age_s)
+    knocks = rng.random((T, shape[0], 1)) < case.interval_s / KNOCKS_EVERY_S
+    knocks &= (case.times_s >= case.moves_from_s)[:, np.newaxis, np.newaxis]
+    added = {}
+    for sensor, size in KNOCK.items():
+        blows = rng.standard_normal((T, *shape))
+        blows *= knocks * size / np.linalg.norm(blows, axis=2, keepdims=True)
+        added[sensor] = np.apply_along_axis(lambda each: np.convolve(each, ringing)[:T], 0, blows)
+    frames = [
+        replace(frame, **{sensor: getattr(frame, sensor) + felt[k] for sensor, felt in added.items()})
+        for k, frame in enumerate(case.frames)
+    ]
+    return replace(case, name=name, kind="knocked", frames=frames)
 
 
 def with_noise(case: Case, name: str) -> Case:

@@ -12,7 +12,7 @@ import yaml
 
 from benchmarks.never_worse import store
 from benchmarks.never_worse.case import Case, in_turned_world
-from benchmarks.never_worse.losses import with_losses, with_noise, with_silences
+from benchmarks.never_worse.losses import with_knocks, with_losses, with_noise, with_silences
 from benchmarks.never_worse.recordings import FAMILIES
 from benchmarks.never_worse.simulated import KINDS
 from gateway.frames import ANGULAR_RATE, INERTIAL_SAMPLE, SPECIFIC_FORCE
@@ -24,6 +24,7 @@ CHANGES: dict[str, Callable[[Case, str], Case]] = {
     "_lossy": with_losses,
     "_silent": with_silences,
     "_noisy": with_noise,
+    "_knocked": with_knocks,
     "_turned": in_turned_world,
 }
 """End of a recording's name to what has happened to it; called with the whole name."""

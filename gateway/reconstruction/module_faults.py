@@ -49,6 +49,7 @@ class Repeats(Record):
     rate_unchanged_s: float
     force_unchanged_s: float
     force_before: Vector  # when the rate changed last
+    has_stuck_rate: int  # 1 since it was found, until the rate changes
     is_stuck: int  # 1 in the newest frame
     field: Vector  # last
     field_unchanged_s: float
@@ -101,15 +102,18 @@ def watch_repeats(
         module.force_unchanged_s = 0.0 if force_changed else module.force_unchanged_s + dt
         module.rate_unchanged_s = 0.0 if rate_changed else module.rate_unchanged_s + dt
         if rate_changed:
+            module.has_stuck_rate = 0
             for k in range(3):
                 module.force_before[k] = force[i, k]
+        elif force_changed and _shows_stuck_rate(module, force[i], rate[i]):
+            module.has_stuck_rate = 1
         _watch_field(module, field[i], rate[i], dt)
         lively_rates += module.rate_unchanged_s < LIVELY_S
         lively += module.unchanged_s < LIVELY_S
     for i in range(m):
         if status[i] <= 1:
             is_stuck = lively > 0 and modules[i].unchanged_s >= STUCK_S
-            is_stuck |= lively_rates > 0 and _has_stuck_rate(modules[i], force[i], rate[i])
+            is_stuck |= lively_rates > 0 and modules[i].has_stuck_rate == 1
             modules[i].is_stuck = int(is_stuck)
 
 
@@ -155,10 +159,8 @@ def _differs(value: float, before: float) -> bool:
 
 
 @compiled
-def _has_stuck_rate(module: Repeats, force: FloatArray, rate: FloatArray) -> bool:
-    """Return whether a module's gyroscopes, if it has any, repeat themselves while it turns, or swings."""
-    if module.force_unchanged_s != 0.0 or module.rate_unchanged_s < STUCK_IN_MOTION_S:
-        return False
-    if not norm(rate) >= 0.0:  # NaN: it has none
+def _shows_stuck_rate(module: Repeats, force: FloatArray, rate: FloatArray) -> bool:
+    """Return whether gyroscopes, if there are any, repeat themselves while their module turns, or swings."""
+    if module.rate_unchanged_s < STUCK_IN_MOTION_S or not norm(rate) >= 0.0:  # NaN: it has none
         return False
     return bool(norm(rate) > TURNING or norm(force - module.force_before) > SWINGING)

@@ -75,6 +75,23 @@ def test_a_fast_arm_with_wrong_lever_arms_is_far_better_than_vqf(method, ratio):
     assert ours < ratio * vqf
 
 
+@pytest.mark.parametrize(
+    ("sensor", "off", "ratio"), [("specific_force", 40.0, 0.25), ("angular_rate", 10.0, 0.3)]
+)
+def test_a_spoilt_reading_a_second_is_borne(sensor, off, ratio):
+    suit = fast_arm()
+    motion = fast_motion(suit, 1)
+    observed = sampled(suit, motion, Switches(), 1)
+    rng, spoilt = np.random.default_rng(1), []
+    for frame in observed:
+        n = len(frame.status)
+        blow = rng.standard_normal((n, 3))
+        blow *= off / np.linalg.norm(blow, axis=1, keepdims=True) * (rng.random((n, 1)) < 0.01)
+        spoilt.append(replace(frame, **{sensor: getattr(frame, sensor) + blow}))
+    joint, vqf = (mean_error_deg(method, suit, motion, spoilt) for method in ("joint", "independent"))
+    assert joint < ratio * vqf
+
+
 def test_an_arm_on_a_base_that_is_carried_about_is_far_better_still():
     suit = carried_arm()
     motion = carried_motion(suit, 1)

@@ -98,6 +98,21 @@ def missed(slope, seconds, tuning):
     return min(square, noise) if np.isfinite(square) else noise
 
 
+def shaken(seen, x, floor, shock):
+    """(12a) of a reading, and the mean square of (12)."""
+    fourth = x - 4.0 * seen.last[:, 0] + 6.0 * seen.last[:, 1] - 4.0 * seen.last[:, 2] + seen.last[:, 3]
+    square, step = fourth @ fourth, x - seen.last[:, 0]
+    is_shock = square / 210.0 > shock * max(seen.square, floor**2)
+    return 0.5 * np.sqrt(min(square, step @ step)) if is_shock else 0.0, square / 210.0
+
+
+def shocks(segment, arm, tuning, dt):
+    """η of (12b)."""
+    turning = (2.0 * segment.rate_vibration.shock + segment.averages.rate_shock) / tuning.smoothing_s
+    square = segment.averages.force_shock**2 + turning**2 * (arm @ arm)
+    return square / 3.0 * max(1.0, tuning.smoothing_s / dt)
+
+
 def own(work):
     """Copies of what segments have been told of themselves."""
     told = work.segments["evidence"]
@@ -203,6 +218,11 @@ class Checked:
             return w, density + (tuning.missed_share**2 * square + off) / dt
         self.compared["bridge" if is_bridged else "predict"] += 1
         density += before.corrections.gyroscope * (change @ change) * lasted
+        if before.rate_vibration.samples >= 4.0 and not is_bridged:
+            noise = tuning.gyroscope / np.sqrt(dt)
+            shock, _ = shaken(before.rate_vibration, now.angular_rate, noise, tuning.rate_shock)
+            density += shock**2 * dt * 2.0 / 3.0
+            self.compared["rate_shock"] += shock > 0.0
         if not is_bridged:
             return w, density
         known_s = 2.0 * memory_s * np.tanh(lasted / (2.0 * memory_s))
@@ -280,7 +300,13 @@ class Checked:
                 assert_close(now.K, K)
                 f = 0.5 * (one.R @ (now.specific_force - one.force_bias) + one.averages.last_force)
                 mean = one.averages.force + gain / filled * (f - one.averages.force)
-                assert_close(state.segments[s].averages.force, mean)
+                after = state.segments[s]
+                assert_close(after.averages.force, mean)
+                for kept, last, new in (
+                    ("force_shock", one.averages.force_shock, after.vibration.shock),
+                    ("rate_shock", one.averages.rate_shock, after.rate_vibration.shock),
+                ):
+                    assert after.averages[kept] == pytest.approx(last + gain / filled * (new - last))
                 self.vibration(one, now, state.segments[s].vibration, tuning, dt)
 
     def bridged_average(self, before, now, after, tuning, dt):
@@ -308,13 +334,13 @@ class Checked:
         if before.vibration.samples < 4.0:
             return
         self.compared["vibration"] += 1
-        f = now.specific_force - before.force_bias
-        last, was = before.vibration.last, before.vibration.square
-        fourth = f - 4.0 * last[:, 0] + 6.0 * last[:, 1] - 4.0 * last[:, 2] + last[:, 3]
-        limit = tuning.vibration_shock * max(was, tuning.vibration_floor**2)
-        square = min(fourth @ fourth / (3.0 * 70.0), limit)
-        expected = was + min(1.0, dt / tuning.vibration_memory_s) * (square - was)
+        f, was = now.specific_force - before.force_bias, before.vibration
+        shock, square = shaken(was, f, tuning.vibration_floor, tuning.vibration_shock)
+        limit = tuning.vibration_shock * max(was.square, tuning.vibration_floor**2)
+        expected = was.square + min(1.0, dt / tuning.vibration_memory_s) * (min(square, limit) - was.square)
         assert seen.square == pytest.approx(expected, rel=1e-9)
+        assert seen.shock == pytest.approx(shock, rel=1e-6)
+        self.compared["force_shock"] += shock > 0.0
 
     def joint_row(self, joint, is_unobserved, tuning, dt):
         child, parent, now = joint.child.copy(), joint.parent.copy(), joint.now.copy()
@@ -446,6 +472,8 @@ class Checked:
             regression = g * before.tilted_s * np.clip(both / t, 0.0, 1.0) / g
             left = max(variance - (g * regression) ** 2 * t, before.variance)
             missed = was[s].felt_square * before.waits_s**2
+            if now.validity == Validity.FORCE:
+                missed += (state.segments[s].vibration.shock * dt) ** 2 * 2.0 / 3.0  # (12a)
             left += tuning.force_bias**2 * tuning.unaided_memory_s * waited_s + missed
             assert after.tilted_s == pytest.approx(regression + waited_s)
             assert after.variance == pytest.approx(left, rel=1e-6)
@@ -647,9 +675,10 @@ class Checked:
         u, y = segment.averages.force + now.K @ (mount.arm + device.shift), body.world.at_rest
         at_once = tuning.specific_force**2 + (tuning.lever_arm * now.motion) ** 2  # (19)
         learning = work.shared.learning
-        assert learning.at_once == pytest.approx(at_once)
-        R_bar = segment.R - tuning.smoothing_s * segment.averages.lever_arm_matrix
         v = at_once * tuning.row_memory_s / dt
+        v += segment.vibration.square + shocks(segment, mount.arm, tuning, dt)  # (12b)
+        assert learning.at_once == pytest.approx(v * dt / tuning.row_memory_s)
+        R_bar = segment.R - tuning.smoothing_s * segment.averages.lever_arm_matrix
         u, added = self.point(tuning, work, d, state, (device, segment), np.hstack([-now.K, R_bar]), u, y, dt)
         force = state.segments[s].averages.force
         change = state.segments[s].force_bias - segment.force_bias
@@ -683,7 +712,7 @@ class Checked:
         sharing = max(1.0, pair.span_s / interval_s)
         u, y = pair.u + pair.arm @ (mount.arm + device.shift), pair.y  # (25)
         v = pair.variance + tuning.specific_force**2 + (tuning.lever_arm * now.motion) ** 2
-        v = (v + segment.vibration.square) * sharing  # (26)
+        v = (v + segment.vibration.square + pair.shock**2 / 3.0) * sharing  # (26)
         if is_open:
             # a root whose heading has just been shown is told that, too
             if len(above) > 1 or state.segments[s].heading == segment.heading:
@@ -710,13 +739,15 @@ class Checked:
             sigma = np.array([reading.sigma for reading in held[-count:]])
             assert pair.variance == pytest.approx(np.sum((w * sigma) ** 2), rel=1e-6)
             frames = [frame for frame in device.history if frame.time_s > -np.inf]
-            k, u = 0.0, np.zeros(3)
+            k, u, shock = 0.0, np.zeros(3), 0.0
             for older, newer in pairwise(frames):
                 if newer.time_s >= t[0]:
                     middle, step = 0.5 * (older.time_s + newer.time_s), newer.time_s - older.time_s
                     share = step * np.sum(w * np.maximum(t - middle, 0.0))
                     k, u = k + share, u + share * 0.5 * (older.force + newer.force)
+                    shock += abs(share) * 0.5 * (older.shock + newer.shock)
             np.testing.assert_allclose(pair.u, device.turn @ u / k, rtol=1e-6, atol=1e-6)
+            assert pair.shock == pytest.approx(shock)
         return is_new
 
     def update_outward(self, links, segments, work):
@@ -821,6 +852,7 @@ kernels = SimpleNamespace(
 
 LEAST = {
     "predict": 4000, "coast": 500, "bridge": 20, "average": 4000, "bridged_average": 10, "vibration": 4000,
+    "force_shock": 50, "rate_shock": 50,
     "start": 20, "joint_row": 500, "open_joint_row": 1000, "heading": 1000, "joint_arms": 200,
     "fixed_point": 150, "pair": 60, "device": 3, "open_device": 50, "stance": 250, "zero_rate_watch": 4000,
     "zero_rate": 1000, "unaided": 4000, "seen": 500, "sun": 60, "corrections": 20,
@@ -838,7 +870,7 @@ SEEDS = (7000, 7002, 7003, 7005, 7007, 7012, 7021, 7023)
 
 
 def disturbed(chain):
-    """Frames with modules that fall silent for up to 1.2 s and sensors that are at the end of their range."""
+    """Frames with modules that fall silent for up to 1.2 s, sensors at the end of their range, and knocks."""
     rng, out = np.random.default_rng(chain.seed), []
     frames = sampled(chain.suit, chain.motion, chain.switches, chain.seed, chain.rate_hz)[:N_FRAMES]
     n = len(frames[0].status)
@@ -849,13 +881,22 @@ def disturbed(chain):
             silent = np.where(rng.random(silent.shape) < 0.007, rng.choice([1, 4, 10, 120]), silent - 1)
             clipped = np.where(rng.random(clipped.shape) < 0.005, rng.choice([1, 10, 60]), clipped - 1)
         force = np.where(silent[:, None] > 0, np.nan, frame.specific_force)
+        knocks = np.random.default_rng([chain.seed, k]).normal(0.0, 1.0, (2, n, 3))
+        knocks[:, np.abs(knocks[0, :, 0]) < 2.5] = 0.0
         status = np.where(silent > 0, Status.MISSING, frame.status).astype(np.uint8)
         at_end = np.where(clipped > 0, Clipped.ANGULAR_RATE, 0).astype(np.uint8)
         # a module that sees the sun anywhere: the rows say what it tells, not whether it is there
         sun = SunSight(world, Rotation.random(n, random_state=k).apply(world), np.full(n, 0.03))
         has_sun = chain.seed % 2 == 0 and k % 3 > 0
         out.append(
-            replace(frame, specific_force=force, status=status, clipped=at_end, sun=sun if has_sun else None)
+            replace(
+                frame,
+                specific_force=force + 20.0 * knocks[0],
+                angular_rate=frame.angular_rate + 3.0 * knocks[1],
+                status=status,
+                clipped=at_end,
+                sun=sun if has_sun else None,
+            )
         )
     return out
 

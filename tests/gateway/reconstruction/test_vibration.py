@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gateway.reconstruction.inertial.tree.prediction import _shock_density, average
 from gateway.reconstruction.inertial.tree.start import second_order_variance
-from gateway.reconstruction.inertial.tree.state import initial_state
+from gateway.reconstruction.inertial.tree.state import Started, Validity, initial_state, work_space
 from gateway.reconstruction.inertial.tree.tuning import tuning
-from gateway.reconstruction.inertial.tree.vibration import watch_vibration
+from gateway.reconstruction.inertial.tree.vibration import shock_variance, watch_vibration
 
 DT, TUNING = 0.01, tuning()
 
@@ -15,7 +16,8 @@ DT, TUNING = 0.01, tuning()
 def watched(forces, dt=DT, gaps=()):
     seen = initial_state(1, 0).segments[0].vibration
     for k, force in enumerate(forces):
-        watch_vibration(seen, force, k == 0 or k in gaps, TUNING, dt)
+        is_fresh = k == 0 or k in gaps
+        watch_vibration(seen, force, is_fresh, TUNING.vibration_floor, TUNING.vibration_shock, TUNING, dt)
     return seen.square
 
 
@@ -81,3 +83,47 @@ def test_rows_that_come_often_share_it():
     assert second_order_variance(*both, u, TUNING, 0.01) == pytest.approx(
         100.0 * second_order_variance(*both, u, TUNING, 1.0)
     )
+
+
+def calm(n, rng):
+    """Readings of n frames of a module that hangs still, and what its accelerometer and gyroscope miss."""
+    noise = 0.03 * rng.standard_normal((n, 3)), 0.002 * rng.standard_normal((n, 3))
+    return [0.0, 0.0, 9.81] + noise[0], noise[1]
+
+
+def felt(forces, rates, arm):
+    """Averaged specific force at the arm, (T, 3), and what (12b) adds to its variance at once, (T,)."""
+    state, work = initial_state(1, 0), work_space(1)
+    segment, now, u, v = state.segments[0], work.segments[0], [], []
+    segment.R[...], segment.started, now.validity = np.eye(3), Started.YES.value, Validity.FORCE.value
+    for force, rate in zip(forces, rates, strict=True):
+        now.specific_force[...], now.angular_rate[...] = force, rate
+        _shock_density(segment, now, TUNING, DT)
+        average(state, TUNING, work, DT)
+        u.append(segment.averages.force + now.K @ arm)
+        v.append(shock_variance(segment, arm, TUNING, DT) * DT / TUNING.smoothing_s)
+    return np.array(u), np.array(v)
+
+
+@pytest.mark.parametrize(("force", "rate"), [(5.0, 0.0), (40.0, 0.0), (0.0, 3.0), (0.0, 20.0)])
+def test_what_a_spoilt_reading_leaves_in_a_row_is_covered_as_long_as_it_lasts(force, rate):
+    rng, arm = np.random.default_rng(3), np.array([0.1, 0.2, -0.15])
+    forces, rates = calm(200, rng)
+    clean, nothing = felt(forces, rates, arm)
+    forces[120] += force * np.array([0.6, 0.0, -0.8])
+    rates[120] += rate * np.array([0.0, 0.8, 0.6])
+    spoilt, variance = felt(forces, rates, arm)
+    off = np.sum((spoilt - clean) ** 2, axis=1)
+    lasting = off > 0.05**2
+    assert lasting.sum() > 10
+    assert not nothing.any()
+    assert (off[lasting] <= 3.0 * variance[lasting] * 1.001).all()
+    after = np.flatnonzero(lasting)[2:]  # once the reading and the next one are over, it is as much
+    assert (off[after] > 0.75 * 3.0 * variance[after]).all()
+    assert variance[-1] < 1e-3
+
+
+def test_a_fast_motion_is_no_shock():
+    forces = swing(6.0, DT)
+    rates = 10.0 * np.sin(2 * np.pi * 2.0 * np.arange(len(forces))[:, None] * DT + [0.0, 1.0, 2.0])
+    assert not felt(forces, rates, np.array([0.3, 0.0, 0.0]))[1][10:].any()

@@ -41,6 +41,7 @@ from gateway.reconstruction.inertial.tree.state import (
 )
 from gateway.reconstruction.inertial.tree.tuning import Tuning
 from gateway.reconstruction.inertial.tree.update import add_own
+from gateway.reconstruction.inertial.tree.vibration import shock_variance
 
 OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
 ACCELERATION, AIR_VELOCITY, FIXED_POINT, POSITION, VELOCITY = (
@@ -112,6 +113,8 @@ def _fixed_row(body: Body, state: State, tuning: Tuning, work: Work, d: int, dt:
     for i in range(3):
         pair.y[i] = body.world.at_rest[i]
     variance = row_variance(tuning, now.motion, dt)
+    # (20) … + ρ_s + η_s
+    variance += segment.vibration.square + shock_variance(segment, mount.arm, tuning, dt)
     shared.learning.variance, shared.learning.at_once = variance, variance * dt / tuning.row_memory_s
     added = learn_fixed_point(device, segment, now, shared, tuning, dt)
     # (20) … + α_s max(1, 1 s / Δt)
@@ -137,7 +140,7 @@ def _moving_row(body: Body, state: State, tuning: Tuning, work: Work, d: int) ->
     # overlapping windows share their readings, and frames with their errors
     # (26) max(1, T_d / Δt_d)
     sharing = max(1.0, pair.span_s / interval)
-    learning.at_once = _variance_at_once(segment, now, pair.variance, tuning)
+    learning.at_once = _variance_at_once(segment, now, pair, tuning)
     learning.variance = learning.at_once * sharing
     turns_too = mount.kind == AIR_VELOCITY
     if turns_too:
@@ -155,13 +158,10 @@ def _moving_row(body: Body, state: State, tuning: Tuning, work: Work, d: int) ->
 
 
 @compiled
-def _variance_at_once(segment: Segment, now: SegmentWork, of_fit: float, tuning: Tuning) -> float:
-    """Return the first factor of (26), (m/s²)²: the variance of a single row of a moving point.
-
-    of_fit: the readings' part, (m/s²)².
-    """
-    at_once = of_fit + tuning.specific_force**2 + (tuning.lever_arm * now.motion) ** 2
-    at_once += segment.vibration.square
+def _variance_at_once(segment: Segment, now: SegmentWork, pair: LocalPair, tuning: Tuning) -> float:
+    """Return the first factor of (26), (m/s²)²: the variance of a single row of a moving point."""
+    at_once = pair.variance + tuning.specific_force**2 + (tuning.lever_arm * now.motion) ** 2
+    at_once += segment.vibration.square + pair.shock**2 / 3.0
     return float(at_once)
 
 
@@ -276,7 +276,7 @@ def note_frame(device: Device, segment: Segment, now: SegmentWork, tuning: Tunin
     for j in range(N_HISTORY - 1):
         history[j] = history[j + 1]
     newest = history[N_HISTORY - 1]
-    newest.time_s = time_s
+    newest.time_s, newest.shock = time_s, segment.vibration.shock
     f = np.empty(3)
     for i in range(3):
         f[i] = now.specific_force[i] - segment.force_bias[i]
@@ -391,7 +391,7 @@ def _average_own_side(
     Returns False where the frames do not reach back to the first reading, or have a gap longer than
     ``longest_gap_s``.
     """
-    total = 0.0
+    total, pair.shock = 0.0, 0.0
     for i in range(3):
         pair.u[i] = 0.0
         for j in range(3):
@@ -426,6 +426,7 @@ def _average_own_side(
 
 @compiled
 def _add_share(pair: LocalPair, frame: PastFrame, share: float) -> None:
+    pair.shock += abs(share) * frame.shock
     for i in range(3):
         pair.u[i] += share * frame.force[i]
         for j in range(3):

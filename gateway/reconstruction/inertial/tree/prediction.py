@@ -67,6 +67,7 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
             density = _turn_as_measured(segment, now, tuning, dt)
         elif now.validity == SATURATED_RATE:
             density = turn_as_clipped(segment, now, tuning, dt)
+            segment.rate_vibration.samples, segment.rate_vibration.shock = 0.0, 0.0
         else:
             density = _coast(segment, now, tuning, dt)
         now.density = density
@@ -103,13 +104,21 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
         change += step**2
         bend += ((slope - segment.rate_slope[i]) / (0.5 * (lasted_s + dt))) ** 2
         segment.rate_slope[i], segment.rate[i] = slope, now.angular_rate[i]
-    # (5)  … + ν_s ‖ω_k − ω_{k−1}‖² Δt
-    density += gyroscope_inflation(segment, change, lasted_s)
+    # (5)  … + ν_s ‖ω_k − ω_{k−1}‖² Δt + …
+    density += gyroscope_inflation(segment, change, lasted_s) + _shock_density(segment, now, tuning, dt)
     _note_bend(segment, bend, tuning, lasted_s)
     if now.bridged_s > 0.0 and gap.cause == CLIP_NONE:
         density = _bridge(segment, now, tuning, density * lasted_s, lasted_s, bend) / dt
     gap.seconds, gap.cause = 0.0, CLIP_NONE
     return float(density)
+
+
+@compiled
+def _shock_density(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
+    """Return the last term of (5), (rad/s)²/Hz: by how much more a shock may have turned the segment."""
+    seen, noise = segment.rate_vibration, tuning.gyroscope / math.sqrt(dt)
+    watch_vibration(seen, now.angular_rate, now.bridged_s > 0.0, noise, tuning.rate_shock, tuning, dt)
+    return float(2.0 / 3.0 * seen.shock**2 * dt)
 
 
 @compiled
@@ -334,7 +343,10 @@ def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
         _turn_into_world(segment, now, work.shared)
         is_fresh = averages.seconds == 0.0
         is_bridged = 0.0 < now.bridged_s <= tuning.longest_bridge_s and not is_fresh
-        watch_vibration(segment.vibration, work.shared.force, is_fresh or is_bridged, tuning, dt)
+        watch_vibration(
+            segment.vibration, work.shared.force, is_fresh or is_bridged, tuning.vibration_floor,
+            tuning.vibration_shock, tuning, dt,
+        )  # fmt: skip
         if is_bridged:
             _bridge_averages(segment, now, work.shared, tuning, dt)
             continue
@@ -377,6 +389,7 @@ def _lever_arm_matrix_into(W: FloatArray, R: FloatArray, x: float, y: float, z: 
 @compiled
 def _begin_averages(segment: Segment, shared: SharedWork) -> None:
     averages, f_w, W = segment.averages, shared.force_world, shared.lever_arm_matrix
+    averages.force_shock, averages.rate_shock = 0.0, 0.0
     for i in range(3):
         averages.force[i], averages.last_force[i] = f_w[i], f_w[i]
         for j in range(3):
@@ -386,6 +399,9 @@ def _begin_averages(segment: Segment, shared: SharedWork) -> None:
 @compiled
 def _average_forces(segment: Segment, shared: SharedWork, gain: float) -> None:
     averages, f_w = segment.averages, shared.force_world
+    # (12b) h̄
+    averages.force_shock += gain * (segment.vibration.shock - averages.force_shock)
+    averages.rate_shock += gain * (segment.rate_vibration.shock - averages.rate_shock)
     for i in range(3):
         # (10) both sides are delayed alike: the mean over the step, as the difference of W is
         averages.force[i] += gain * (0.5 * (f_w[i] + averages.last_force[i]) - averages.force[i])

@@ -49,6 +49,7 @@ from gateway.reconstruction.inertial.tree.state import (
 )
 from gateway.reconstruction.inertial.tree.tuning import Tuning
 from gateway.reconstruction.inertial.tree.update import Three, add_edge, add_joint, add_known, add_own
+from gateway.reconstruction.inertial.tree.vibration import shock_variance
 
 OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
 FORCE, NOTHING = Validity.FORCE.value, Validity.NOTHING.value
@@ -232,6 +233,9 @@ def _see_joint(joint: Joint, tuning: Tuning, dt: float) -> None:
         variance += (link.slack * moved) ** 2 * tuning.row_memory_s / dt
     # (20) … + ρ_s + ρ_p + ε_s
     variance += child.vibration.square + parent.vibration.square
+    # (20) … + η_s + η_p
+    variance += shock_variance(child, link.to_joint, tuning, dt)
+    variance += shock_variance(parent, link.from_parent, tuning, dt)
     now.row_variance = variance + second_order_variance(child, parent, now.u, tuning, dt)
     if child.heading == OBSERVED and parent.heading == OBSERVED:
         now.row_variance += _heading_variance(joint, tuning, dt)

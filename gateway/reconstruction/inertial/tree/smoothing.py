@@ -26,7 +26,8 @@ from gateway.reconstruction.inertial.tree.update import inverse_3_into
 
 KEPT = (
     "R", "started", "heading", "defined_square", "silent_s", "force_bias", "field_watch", "compass", "sun",
-    "felt_square", "zero_rate", "aids_s", "joint_nis", "bend_square", "vibration", "corrections",
+    "felt_square", "zero_rate", "aids_s", "joint_nis", "bend_square", "vibration", "rate_vibration",
+    "corrections",
 )  # fmt: skip
 
 
@@ -63,6 +64,7 @@ def turned_back(state: State, tuning: Tuning, gravity: FloatArray, is_tree: bool
     turned.clock.last_ns, turned.clock.first_ns = 0, 0
     back["bias"][...], back["rate"][...] = -before["bias"], -before["rate"]
     back["zero_rate"]["rate"][...] *= -1.0
+    back["rate_vibration"]["samples"][...] = 0.0
     back["zero_rate"]["off_rate"][...] *= -1.0
     back["P"][...] = before["P"] * np.outer(sign, sign)
     back["C"][...] = before["C"] * np.outer(sign, sign)

@@ -106,6 +106,8 @@ class Averages(Record):
     force: Vector  # of R f, m/s²
     last_force: Vector  # R f of the frame before
     lever_arm_matrix: Matrix  # of R [ω]×, rad/s
+    force_shock: float  # by how much shocks may have moved ``force``, m/s²
+    rate_shock: float  # the same of the angular rate, rad/s
     seconds: float  # since these were begun
 
 
@@ -199,9 +201,10 @@ class SunSums(Record):
 
 
 class Vibration(Record):
-    """Vibration that an accelerometer measures; see ``vibration.watch_vibration``."""
+    """Vibration and shocks that a sensor measures, in its unit; see ``vibration.watch_vibration``."""
 
-    square: float  # mean, of a component, (m/s²)²
+    square: float  # mean, of a component
+    shock: float  # by how much its last two readings may be off, each; 0: no shock
     samples: float
     last: Annotated[FloatArray, 3, 4]  # of each axis, newest first
 
@@ -268,7 +271,8 @@ class Segment(Record):
     zero_rate: ZeroRateWatch
     aids_s: float  # for how much longer a foot that has stood aids its chain
     felt_square: float  # mean square acceleration of single samples, as seen lately, (m/s²)²
-    vibration: Vibration
+    vibration: Vibration  # of the specific force
+    rate_vibration: Vibration  # of the angular rate
     corrections: Corrections
 
 
@@ -285,6 +289,7 @@ class PastFrame(Record):
 
     time_s: float  # −inf: none
     force: Vector  # R f
+    shock: float  # by how much it may be off, m/s²
     R: Matrix
     rate: Vector  # segment axes, rad/s
 
@@ -430,6 +435,7 @@ class LocalPair(Record):
     arm: Matrix  # what a device off the module adds to u, by its place there (segment axes, m)
     turn: Matrix  # R averaged as u is
     variance: float  # of the fit, (m/s²)²
+    shock: float  # by how much shocks may have moved u, m/s²
     span_s: float  # of the readings
 
 

@@ -343,8 +343,14 @@ class Tuning(Record):
     vibration_shock: float = constant(
         9.0,
         "",
-        "times the mean square that one sample counts for at the most",
+        "times the mean square that one sample counts for at the most; what is beyond is a shock",
         "a heel that strikes is no vibration",
+    )
+    rate_shock: float = constant(
+        25.0,
+        "",
+        "times the mean square of its vibration from which a reading of a gyroscope is a shock",
+        "pendulum and rings of the training recordings",
     )
 
 

@@ -27,7 +27,7 @@ from gateway.reconstruction.inertial.tree.state import (
 )
 from gateway.reconstruction.inertial.tree.tuning import Tuning
 
-NOTHING = Validity.NOTHING.value
+FORCE, NOTHING = Validity.FORCE.value, Validity.NOTHING.value
 
 
 @compiled
@@ -77,9 +77,11 @@ def _add_acceleration(segment: Segment, now: SegmentWork, world: World, tuning: 
         force = R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
         velocity.felt[i] += lasted_s * (force - world.at_rest[i])
     velocity.tilted_s += lasted_s
-    # (39) U ← U + σ_fb² T_u Δt, and A_f² of what was missed
+    # (39) U ← U + σ_fb² T_u Δt, and A_f² of what was missed, and of shocks
     velocity.variance += tuning.force_bias**2 * tuning.unaided_memory_s * lasted_s
     velocity.variance += segment.felt_square * (lasted_s - dt) ** 2
+    if now.validity == FORCE:
+        velocity.variance += 2.0 / 3.0 * (segment.vibration.shock * dt) ** 2
 
 
 @compiled
