@@ -3,13 +3,14 @@
 ::
 
     with Objective() as objective:
-        print(objective(ChainSettings(tuning=tuning(gyroscope=0.0005))))
+        print(objective({"gyroscope": 0.0005}))
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from types import TracebackType
 from typing import NamedTuple
@@ -21,6 +22,7 @@ from benchmarks.never_worse.case import Case, Variant
 from benchmarks.never_worse.judging import errors
 from benchmarks.never_worse.solving import OURS, live
 from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings
+from gateway.reconstruction.inertial.tree.tuning import tuning
 
 
 class Score(NamedTuple):
@@ -68,16 +70,16 @@ class Objective:
     ) -> None:
         self._pool.shutdown(cancel_futures=True)
 
-    def __call__(self, settings: ChainSettings | None = None) -> Score:
-        """Return what settings are worth. Raises ``FileNotFoundError`` where a recording is not there: a
-        score over others cannot be compared."""
-        found = list(self._pool.map(ratios, self._names, [settings] * len(self._names)))
+    def __call__(self, changes: Mapping[str, float] | None = None) -> Score:
+        """Return what changes of the tuning table are worth. Raises ``FileNotFoundError`` where a recording
+        is not there: a score over others cannot be compared."""
+        found = list(self._pool.map(ratios, self._names, [changes] * len(self._names)))
         return score(dict(zip(self._names, found, strict=True)))
 
 
-def ratios(name: str, settings: ChainSettings | None = None) -> tuple[str, dict[Variant, float]]:
-    """Return the kind of a recording and `joint` over VQF by variant."""
-    case = split.case(name)
+def ratios(name: str, changes: Mapping[str, float] | None = None) -> tuple[str, dict[Variant, float]]:
+    """Return the kind of a recording and `joint` over VQF by variant, with changes of the tuning table."""
+    case, settings = split.case(name), ChainSettings(tuning=tuning(**(changes or {})))
     return case.kind, {
         variant: errors(case, variant, live(OURS, case, variant, settings).q_wb).total / _vqf(name, variant)
         for variant in case.variants

@@ -12,8 +12,16 @@ from scipy.spatial.transform import Rotation
 from benchmarks.never_worse import peers, simulated, split, store
 from benchmarks.never_worse.case import TURNED, Case, Variant, in_turned_world
 from benchmarks.never_worse.judging import claims, errors, levelled
-from benchmarks.never_worse.losses import NOISE, SILENCES_S, with_losses, with_noise, with_silences
-from benchmarks.never_worse.objective import score
+from benchmarks.never_worse.losses import (
+    KNOCK,
+    NOISE,
+    SILENCES_S,
+    with_knocks,
+    with_losses,
+    with_noise,
+    with_silences,
+)
+from benchmarks.never_worse.objective import Objective, score
 from benchmarks.never_worse.recordings import FAMILIES, backward, part
 from benchmarks.never_worse.report import report
 from benchmarks.never_worse.solving import Solution, live
@@ -100,6 +108,20 @@ def test_noise_of_poorer_sensors_is_the_same_each_time_and_as_large_as_it_says()
         assert np.array_equal(off, same, equal_nan=True)
         if np.isfinite(whole).all():
             assert np.std(off - whole) == pytest.approx(sigma, rel=0.05)
+
+
+def test_modules_are_knocked_once_a_second_from_when_they_move_the_same_times_each_time():
+    arm = simulated.fast_arm_case(3)
+    knocked, again = (with_knocks(arm, "fast_arm_3_knocked") for _ in range(2))
+    assert knocked.kind == "knocked"
+    assert knocked.moves_from_s == pytest.approx(arm.moves_from_s, abs=0.2)
+    for sensor, size in KNOCK.items():
+        felt, whole, same = (np.stack([getattr(f, sensor) for f in c.frames]) for c in (knocked, arm, again))
+        assert np.array_equal(felt, same)
+        blows = np.linalg.norm(felt - whole, axis=2)
+        hard = (blows > 0.9 * size).sum(axis=0) / (arm.times_s[-1] - arm.moves_from_s)
+        assert hard.mean() == pytest.approx(1.0, rel=0.3)
+        assert not blows[arm.times_s < arm.moves_from_s].any()
 
 
 def test_modules_fall_silent_for_a_while_in_motion_the_same_ones_each_time():
@@ -214,6 +236,13 @@ def test_kinds_weigh_alike_and_only_what_is_worse_is_punished():
     assert found.value == pytest.approx(1.5)
     assert score(many).penalty == 0.0
     assert "b_1" in str(found)
+
+
+def test_changes_of_the_table_are_tried_in_processes_of_their_own(monkeypatch):
+    monkeypatch.setattr(split, "named", lambda part: [split.Named("fast_arm_1", part, "quick")])
+    with Objective(processes=1) as objective:
+        ours, careless = objective(), objective({"specific_force": 5.0})
+    assert 0.0 < ours.value < careless.value
 
 
 def test_a_recording_backward_turns_as_its_reference_does():
