@@ -41,20 +41,23 @@ from benchmarks.never_worse.judging import errors
 from benchmarks.never_worse.objective import fair_vqf, score
 from benchmarks.never_worse.simulated import KINDS
 from benchmarks.never_worse.solving import OURS, live
+from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.kernel_fingerprint import fingerprint
-from gateway.reconstruction.inertial.tree import reconstructor, rows, step, unaided
+from gateway.reconstruction.inertial.tree import prediction, reconstructor, rows, step, unaided
 from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Segment,
     SegmentWork,
     State,
+    Vibration,
     Work,
     World,
     chain_body,
 )
 from gateway.reconstruction.inertial.tree.tuning import CONSTANTS, Tuning, tuning
+from gateway.reconstruction.inertial.tree.vibration import watch_vibration
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 STORE = REPOSITORY / "build" / "sensitivity.json"
@@ -79,6 +82,16 @@ class Rule(NamedTuple):
     """Of the code, in a process of its own, before any kernel is compiled."""
     is_by_interval: bool = False
     """Whether the values of ``changes`` are times the recording's sampling interval."""
+
+
+def _without_shocks() -> None:
+    @compiled
+    def watch(
+        seen: Vibration, x: FloatArray, is_fresh: bool, floor: float, shock: float, tuning: Tuning, dt: float
+    ) -> None:
+        watch_vibration(seen, x, is_fresh, floor, ENDLESS, tuning, dt)
+
+    prediction.watch_vibration = watch  # type: ignore[attr-defined]
 
 
 def _without_second_order() -> None:
@@ -132,6 +145,7 @@ RULES = {
     "nis": Rule("inflation by NIS", "(22)", {"largest_nis": 1.0}),
     "corrections": Rule("inflation by the filter's corrections", "(58) to (61)", {"correction_gain": 0.0}),
     "vibration": Rule("vibration is measured", "(12)", {"vibration_memory_s": ENDLESS}),
+    "shocks": Rule("readings that jump are shocks", "(12a), (12b)", patch=_without_shocks),
     "second_order": Rule("second order as variance", "(21)", patch=_without_second_order),
     "disturbed_field": Rule(
         "a field whose norm or dip is wrong counts less", "D of (31)",
